@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 
 import pytest
 from naosim import robots
@@ -63,3 +64,25 @@ def test_trainings_find_both_servers(environment: pytest.MonkeyPatch) -> None:
         "NAOSPRINT_SIMSERVER": "rcssserver3d",
         "NAOSPRINT_RCSSSERVERMJ": "docker:naosprint/rcssservermj",
     }
+
+
+def test_matches_wait_for_workers_that_embed_and_have_the_server(environment: pytest.MonkeyPatch) -> None:
+    def queues() -> list[str]:
+        return list(installed_capabilities(WorkerSettings()).simulators)  # type: ignore[call-arg]
+
+    assert queues() == ["server"]
+    environment.setenv("NAOSPRINT_WORKER_QUEUES", "embedded,server")
+    assert queues() == ["embedded", "server", "match"]
+    environment.setattr(world.metadata, "version", lambda name: "3.4.0")
+    assert queues() == ["embedded", "server"]
+
+
+@pytest.mark.parametrize(("processors", "slots", "games"), [(1, 1, 1), (2, 1, 1), (8, 1, 4), (8, 2, 2), (4, 4, 1)])
+def test_a_slot_plays_one_game_for_every_two_of_its_processors(
+    environment: pytest.MonkeyPatch, processors: int, slots: int, games: int
+) -> None:
+    environment.setattr(os, "sched_getaffinity", lambda _pid: set(range(processors)))
+    environment.setenv("NAOSPRINT_WORKER_CONCURRENCY", str(slots))
+    assert WorkerSettings().games_at_a_time == games  # type: ignore[call-arg]
+    environment.setenv("NAOSPRINT_WORKER_GAMES", "3")
+    assert WorkerSettings().games_at_a_time == 3  # type: ignore[call-arg]

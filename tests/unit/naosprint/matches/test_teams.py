@@ -11,7 +11,7 @@ import naopolicies
 import pytest
 from naosim.launchers import Address
 from naospec.teams import skills_of
-from naosprint.matches.agents import AgentProcess, Limits
+from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
 from naosprint.matches.teams import find_team, read_team, write_example
 
 
@@ -55,7 +55,7 @@ def run_agent(folder: Path, program: str, **limits: int) -> tuple[AgentProcess, 
     agent = AgentProcess(read_team(folder), "left", 3, 1, Address("127.0.0.1", 9, 10), Limits(**limits))
     pause = threading.Event()
     while agent.alive():
-        agent.note_cpu()
+        agent.note_cpu(cpu_by_session())
         pause.wait(0.05)
     return agent, agent.describe()
 

@@ -245,7 +245,8 @@ def show_log(ctx: typer.Context, match: Reference = "last", as_json: JsonFlag = 
     """Print the history of a match and the lines of its log, oldest first."""
     context = context_of(ctx)
     with context.client() as client:
-        path, found = f"/matches/{find_match(client, match)['id']}/events", []
+        path = f"/matches/{find_match(client, match)['id']}/events"
+        found: list[dict[str, Any]] = []
         while page := client.get(path, limit=200, after=found[-1]["id"] if found else None):
             found += page
     if as_json:

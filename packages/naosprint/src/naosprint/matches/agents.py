@@ -19,6 +19,8 @@ import naosim.launchers
 from naosprint.matches import confine
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from naosim.launchers import Address
 
     from naosprint.matches.teams import Team
@@ -120,7 +122,7 @@ class AgentProcess:
 
     def stop(self) -> None:
         """End it and everything that it started."""
-        self.note_cpu()
+        self.note_cpu(cpu_by_session())
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
@@ -129,14 +131,19 @@ class AgentProcess:
         for folder in (self._home, self._folder):
             shutil.rmtree(folder, ignore_errors=True)
 
-    def note_cpu(self) -> None:
-        """Note the processor time that it has used so far; this reads the state of all processes."""
-        ticks = 0
-        for entry in os.listdir("/proc"):
-            if entry.isdecimal():
-                with contextlib.suppress(OSError, ValueError, IndexError):
-                    fields = Path(f"/proc/{entry}/stat").read_text(encoding="ascii", errors="replace").rsplit(")", 1)[1]
-                    state, _, _, session, *rest = fields.split()
-                    if int(session) == self._process.pid and state != "Z":
-                        ticks += int(rest[7]) + int(rest[8])
-        self.cpu_s = max(self.cpu_s, ticks / os.sysconf("SC_CLK_TCK"))
+    def note_cpu(self, used_s: Mapping[int, float]) -> None:
+        """Note the processor time that it has used so far, from that of all sessions."""
+        self.cpu_s = max(self.cpu_s, used_s.get(self._process.pid, 0.0))
+
+
+def cpu_by_session() -> dict[int, float]:
+    """Return the processor time of the processes of each session, seconds; this reads the state of all processes."""
+    ticks: dict[int, int] = {}
+    for entry in os.listdir("/proc"):
+        if entry.isdecimal():
+            with contextlib.suppress(OSError, ValueError, IndexError):
+                fields = Path(f"/proc/{entry}/stat").read_text(encoding="ascii", errors="replace").rsplit(")", 1)[1]
+                state, _, _, session, *rest = fields.split()
+                if state != "Z":
+                    ticks[int(session)] = ticks.get(int(session), 0) + int(rest[7]) + int(rest[8])
+    return {session: used / os.sysconf("SC_CLK_TCK") for session, used in ticks.items()}

@@ -16,7 +16,7 @@ from naosim.mujoco.program import server_launcher
 from naosim.mujoco.world import RCSSSMJ_VERSION
 from naospec.teams import MAX_HALF_S, MAX_PLAYERS
 
-from naosprint.matches.agents import AgentProcess, Limits
+from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
 from naosprint.matches.log import GameLog, HalfRecorder, joined
 from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
 
@@ -33,7 +33,8 @@ _GAME_OVER = PLAY_MODES.index("GameOver")
 _BEFORE = PLAY_MODES.index("BeforeKickOff")
 _SETTLE_S = 3.0
 """Simulated seconds from the entry of the last robot to the kick-off; the robots are beamed and stand up in them."""
-_LOOK_S = 1.0
+_LOOK_S, _CPU_S = 1.0, 10.0
+"""Wall-clock seconds between two looks at the players, and between two at their processor time."""
 _QUIET_S = 30.0
 """Seconds without a frame after which a server has failed: an agent that hangs costs 5, and each has its turn."""
 
@@ -166,7 +167,7 @@ class _Half:
         self._monitor: _Monitor | None = None
         self._agents: dict[tuple[str, int], AgentProcess] = {}
         self._lost: list[dict[str, Any]] = []
-        self._cpu_cycles = 0
+        self._cpu_cycles, self._cpu_at = 0, 0.0
 
     def __enter__(self) -> _Half:
         return self
@@ -236,7 +237,6 @@ class _Half:
         """Note players that are no longer on the field."""
         noted = {(each["side"], each["number"]) for each in self._lost}
         for player, agent in self._agents.items():
-            agent.note_cpu()
             alive = agent.alive()
             if player not in noted and (player not in frame.bodies or not alive) and frame.mode != _GAME_OVER:
                 reason = "dropped by the server after 5 s without a message" if alive else agent.describe()
@@ -246,6 +246,11 @@ class _Half:
                 )
                 if alive:
                     agent.stop()
+        if time.monotonic() - self._cpu_at > _CPU_S or frame.mode == _GAME_OVER:
+            used_s = cpu_by_session()
+            for agent in self._agents.values():
+                agent.note_cpu(used_s)
+            self._cpu_at = time.monotonic()
         self._cpu_cycles = round(frame.time_s / 0.02)
 
     def _moment(self, frame: Frame, frames: int) -> Moment:
