@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import httpx
+import pytest
 
 if TYPE_CHECKING:
     from conftest import Browser
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 PLAY_S = 500.0  # a game of two seconds, its server and its agents start on a machine that is shared by many
 
 
+@pytest.mark.timeout(1200)  # two servers and four agents start, one after the other
 def test_a_match_from_the_form_to_its_film(browser: Browser, token: str, client: httpx.Client, pictures: Path) -> None:
     browser.sign_in(token)
     browser.open("/league")

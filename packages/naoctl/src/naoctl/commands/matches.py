@@ -27,7 +27,7 @@ _POLL_S = 2.0
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
-class Film(StrEnum):
+class Filmed(StrEnum):
     """What is filmed of a game."""
 
     OFF = "off"
@@ -74,8 +74,8 @@ def play(
         bool, typer.Option("--gate", help="Stop as soon as a test has decided whether A does not lose.")
     ] = False,
     film: Annotated[
-        Film, typer.Option(help="What to film of each game: nothing, what led to goals, or all of it.")
-    ] = Film.GOALS,
+        Filmed, typer.Option(help="What to film of each game: nothing, what led to goals, or all of it.")
+    ] = Filmed.GOALS,
     priority: Annotated[int, typer.Option(min=0, max=9, help="0 to 9; higher starts first.")] = 5,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the end and print the results.")] = False,
     as_json: JsonFlag = False,

@@ -113,7 +113,7 @@ export async function mount(root, { id, sub, signal }) {
 
   function paint(match) {
     document.title = `${match.teams.join(" – ")} · naosprint`;
-    const about = `${match.played} of ${match.games} games, ${match.players} players, 2 × ${match.half_s} s`;
+    const about = `${match.played} of ${match.games} games, ${match.players} ${match.players === 1 ? "player" : "players"}, 2 × ${match.half_s} s`;
     fill(
       head,
       h("div", { class: "grow" }, h("h1", null, match.teams.join(" – ")), h("p", { class: "soft" }, about)),
