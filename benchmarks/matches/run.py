@@ -67,7 +67,8 @@ def main() -> int:
             samples: list[Sample] = []
 
             def note(moment: Moment, samples: list[Sample] = samples) -> None:
-                if 0.0 < moment.share <= 0.5:  # the first half, from the kick-off on
+                # the first half from the kick-off on; a sample reads the state of all processes, which takes a while
+                if 0.0 < moment.share <= 0.5 and (not samples or moment.share > 0.4):
                     samples.append(sample(2.0 * options.seconds * moment.share))
 
             play_game((team, team), ("a", "b"), 0, GameSettings(players, options.seconds), on_moment=note)
