@@ -37,10 +37,8 @@ from naosprint import evaluate, tasks
 from naosprint.analysis import examination, figures
 from naosprint.analysis.report import read_metrics, write_report
 from naosprint.analysis.results import by_name, headline, interval_text, value_text
-from naosprint.rl.candidates import reward_per_step
 from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, MANIFEST, POLICY, read_manifest
 from naosprint.rl.columns import columns
-from naosprint.rl.plan import plan
 
 ROOT = Path(__file__).parents[1]
 BUNDLED = ROOT / "packages" / "naopolicies" / "src" / "naopolicies" / "bundled"
@@ -116,7 +114,7 @@ def main() -> int:
         # the last job may have continued beyond the checkpoint that was chosen
         manifest = read_manifest(checkpoint)
         own = [part for part in parts if part["job"].startswith(jobs[-1]["name"])]
-        before = sum(part["steps"] * part.get("candidates", 1) for part in own[:-1])
+        before = sum(part["steps"] for part in own[:-1])
         parts[-1] |= {"steps": manifest.steps - before}
         put_in_place(name, checkpoint, options.earlier)
     write(name, EvaluationSpec(episodes=options.episodes, seed=EVALUATION_SEED), parts, options.parts)
@@ -161,7 +159,7 @@ def choose(naoctl: Any, job: dict[str, Any], work: Path, latest: int) -> Path:
     found: list[tuple[float, float, Path]] = []
     points = sorted(naoctl("checkpoints", job["id"]), key=lambda point: point["step"])[-latest:]
     for point in points:
-        folder = work / "candidates"
+        folder = work / "points"
         naoctl("download", job["id"], "--what", "checkpoint", "-c", point["id"], "--output", str(folder))
         path = folder / f"checkpoint-{point['step']:012d}"
         if len(points) == 1:
@@ -182,22 +180,16 @@ def choose(naoctl: Any, job: dict[str, Any], work: Path, latest: int) -> Path:
 def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[dict[str, Any]]:
     """Describe each stage of a job of the lineage, or the whole job if it has none."""
     found, steps, time_s = [], 0.0, 0.0
-    for number in range(1, len(spec.stage_specs) + 1):
-        segments = [segment for segment in plan(spec) if segment.stage == number - 1]
-        candidates = len(segments)
-        trained = [row for row in rows if row.get("stage", 1.0) == number]
-        if not trained:
+    for number, stage in enumerate(spec.stage_specs, start=1):
+        mine = [row for row in rows if row.get("stage", 1.0) == number]
+        if not mine:
             break
-        runs = [[row for row in trained if row.get("candidate", 1.0) == k] for k in range(1, candidates + 1)]
-        best = max(range(candidates), key=lambda k: reward_per_step(runs[k][-1]) if candidates > 1 else 0.0)
-        mine, stage = runs[best], segments[best].spec
-        begin = steps + best * stage.planned_steps
         # a long training's rows are thinned, so the last of a stage may be missing
         ended = rows[-1].get("stage", 1.0) > number
         shown = mine[:: max(1, len(mine) // CURVE_POINTS)]
         names = ("step", *tasks.get(stage.task.name).presentation.listed)
         complete = [row for row in shown if all(name in row for name in names)]
-        curve = {name: [round(row[name] - (begin if name == "step" else 0.0), 4) for row in complete] for name in names}
+        curve = {name: [round(row[name] - (steps if name == "step" else 0.0), 4) for row in complete] for name in names}
         found.append(
             {
                 "job": job + (f", stage {number}" if spec.stages else ""),
@@ -205,15 +197,14 @@ def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[d
                 "robot": stage.robot.name,
                 "preset": spec.algorithm.preset,
                 "seed": stage.seed,
-                **({"candidates": candidates} if candidates > 1 else {}),
-                "steps": stage.planned_steps if ended else int(mine[-1]["step"] - begin),
-                "training_s": round(trained[-1]["time_s"] - time_s),
+                "steps": stage.planned_steps if ended else int(mine[-1]["step"] - steps),
+                "training_s": round(mine[-1]["time_s"] - time_s),
                 "overrides": stage.overrides(),
                 "curve": curve,
             }
         )
-        steps += stage.planned_steps * candidates
-        time_s = trained[-1]["time_s"]
+        steps += stage.planned_steps
+        time_s = mine[-1]["time_s"]
     return found
 
 
@@ -232,7 +223,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]], examined
             "summary": summary_text(summary),
             "robot": trained.robot.name,
             "task": trained.task.name,
-            "steps": sum(int(one["steps"]) * one.get("candidates", 1) for one in parts),
+            "steps": sum(int(one["steps"]) for one in parts),
             "training_s": sum(int(one["training_s"]) for one in parts),
             **{key: summary[key] for key in ("episodes", "results", "headline", "tables", "evaluation")},
             "lineage": parts,
@@ -253,7 +244,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]], examined
 
 def write_card(card: dict[str, Any]) -> None:
     """Write a policy's card, and its page in the docs."""
-    (BUNDLED / card["name"] / "card.json").write_text(json_text(card), encoding="utf-8")
+    (BUNDLED / card["name"] / "card.json").write_text(json_text(naopolicies.stored(card)), encoding="utf-8")
     (PAGES / f"{card['name']}.md").write_text(page(card), encoding="utf-8")
 
 
@@ -302,8 +293,6 @@ def page(card: dict[str, Any]) -> str:
     for one in card["lineage"]:
         changes = ", ".join(f"`{key}` {json.dumps(value)}" for key, value in one["overrides"].items()) or "none"
         training = f"{one['task']}, {one['robot']}, preset {one['preset']}, seed {one['seed']}"
-        if "candidates" in one:
-            training += f", the best of {one['candidates']}"
         lines.append(
             f"| {one['job']} | {training} | {one['steps'] / 1e6:.0f} M | {one['training_s'] / 60:.0f} | {changes} |"
         )

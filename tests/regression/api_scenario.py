@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import naopolicies
 from fastapi.testclient import TestClient
 from naojobs import leases, outcomes, records, registry, submission
 from naojobs.capabilities import Capabilities
@@ -25,7 +26,7 @@ from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, checkpoint_key
 from naojobs.submission import JobRequest
 from naojobs.tokens import Scope, create_token
-from naospec import EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec, recipes
 from naospec.flat import nest
 from naosprint_api.app import create_app
 from naosprint_api.service import Service
@@ -52,6 +53,7 @@ ROWS = (
     {"step": 24576.0, "time_s": 4.5, "episodes": 240.0, "reward": 40.125, "distance_m": 0.5, "speed_mps": 0.75},
 )
 
+CARDS = ("sprint", "sprint-type4")
 PATHS = (
     "/healthz",
     "/readyz",
@@ -64,8 +66,7 @@ PATHS = (
     "/algorithms",
     "/recipes",
     "/tokens",
-    "/policies/sprint",
-    "/policies/sprint-type4",
+    *(f"/policies/{name}" for name in CARDS),
     "/policies/unknown",
     "/jobs",
     "/jobs?state=queued",
@@ -186,7 +187,13 @@ def responses(folder: Path) -> dict[str, Any]:
 
 
 def once(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the responses, with items of lists that are responses themselves as the names of these."""
+    """Return the responses; what the tree or another response contains already is its name."""
+    for recipe in found["GET /recipes"]["body"]:
+        if recipe["job"] == masked(recipes.job(recipe["name"]), {}):
+            recipe["job"] = f"<recipe {recipe['name']}>"
+    for name in CARDS:
+        card, body = masked(naopolicies.card(name), {}), found[f"GET /policies/{name}"]["body"]
+        body.update({key: "<of the card>" for key in body if key in card and body[key] == card[key]})
     whole = {json.dumps(answer["body"], sort_keys=True): f"<the body of {name}>" for name, answer in found.items()}
 
     def named(value: Any) -> Any:

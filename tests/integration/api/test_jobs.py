@@ -11,6 +11,7 @@ import pytest
 from naojobs import leases, outcomes, records, registry
 from naojobs.capabilities import Capabilities
 from naojobs.leases import Lease
+from naojobs.models import Job
 from naojobs.states import WorkState
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -52,6 +53,26 @@ def test_a_job_from_submit_to_delete(client: httpx.Client) -> None:
     assert client.post(f"{path}/cancel").json()["state"] == "cancelled"
     assert client.delete(path).status_code == 204
     problem(client.get(path), 404)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_job_whose_stages_have_candidates_is_listed_and_shown(
+    client: httpx.Client, sessions: sessionmaker[Session], count: int
+) -> None:
+    """As this version writes it with one each, and as it was stored with several; the next job cannot start from it."""
+    job = submit(client, name=f"of {count}", spec={"stages": [{"steps": 8192}, {"steps": 8192}]})
+    with sessions.begin() as session:
+        row = session.get_one(Job, job["id"])
+        stages = [{**stage, "candidates": count} for stage in row.spec["stages"]]
+        row.spec = {**row.spec, "format": 2, "stages": stages}
+    shown = client.get(f"/jobs/{job['id']}").json()
+    assert shown["spec"]["stages"] == (job["spec"]["stages"] if count == 1 else stages)
+    assert shown in client.get("/jobs", params={"q": f"of {count}"}).json()["items"]
+    answer = client.post("/jobs", json={"parent_job_id": job["id"]})
+    if count == 1:
+        assert answer.status_code == 201, answer.text
+    else:
+        assert "specifications this one cannot read; use a newer job" in problem(answer, 422)["detail"]
 
 
 def test_an_empty_object_is_a_job_of_defaults(client: httpx.Client) -> None:

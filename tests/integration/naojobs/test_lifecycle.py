@@ -343,6 +343,27 @@ def test_a_job_of_an_older_version_is_no_parent_and_fails_when_it_is_claimed(
     assert "does not fit this version" in (kept.error or "")
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_job_whose_stages_have_candidates_runs_with_one_and_is_refused_with_several(
+    sessions: Sessions, submit: Callable[..., Job], count: int
+) -> None:
+    old = submit(spec=TrainingSpec.model_validate({"stages": [{"steps": 8192}, {"steps": 8192}]}))
+    with sessions.begin() as session:
+        job = session.get_one(Job, old.id)
+        stages = [job.spec["stages"][0], {**job.spec["stages"][1], "candidates": count}]
+        job.spec = {**job.spec, "format": 2, "stages": stages}
+    requests.request_pause(sessions, old.id)
+    requests.resume(sessions, old.id)
+    claim = claim_work(sessions, Job, old.id, "w")
+    if count == 1:
+        assert claim is not None and claim.spec == TrainingSpec(stages=[{"steps": 8192}, {"steps": 8192}])
+        return
+    assert claim is None
+    kept = get(sessions, old.id)
+    assert kept.state is WorkState.FAILED
+    assert "stages.1.candidates: a stage trains one policy; run a study of seeds" in (kept.error or "")
+
+
 def test_two_reapers_take_a_stale_job_once(sessions: Sessions, submit: Callable[..., Job]) -> None:
     jobs = [submit() for _ in range(10)]
     for job in jobs:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import naopolicies
 import numpy as np
 import pytest
 from naospec import EvaluationSpec, plugins
+from naospec.json_text import json_text
 from naosprint.analysis.replay import load_replay
 from naosprint.analysis.results import by_name, headline, value_text
 from naosprint.rl.policy import load_policy
@@ -42,7 +44,7 @@ def test_card_has_results_and_lineage(name: str) -> None:
         assert value_text(result) in card["summary"]
     last = card["lineage"][-1]
     assert (last["task"], last["robot"]) == (card["task"], card["robot"])
-    steps = [part["steps"] * part.get("candidates", 1) for part in card["lineage"]]
+    steps = [part["steps"] for part in card["lineage"]]
     assert sum(steps[-len(manifest.spec.stage_specs) :]) == manifest.steps
     assert last["overrides"] == _plain(manifest.stage_spec.overrides())
     assert card["steps"] == sum(steps)
@@ -63,3 +65,18 @@ def test_unknown_name_lists_those_that_exist(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"nor a bundled policy; these are: k1-getup, k1-run, k1-sprint, sprint, "):
         naopolicies.resolve("sprnt")
     assert naopolicies.resolve(str(tmp_path)) == tmp_path
+
+
+@pytest.mark.parametrize("name", naopolicies.names())
+def test_a_card_describes_a_metric_once(name: str) -> None:
+    """Results that tables and conditions repeat are stored without its words, and read with them."""
+    text = (naopolicies.folder(name) / naopolicies.CARD).read_text(encoding="utf-8")
+    card = naopolicies.card(name)
+    assert text == json_text(naopolicies.stored(card))
+    metrics = by_name(card)
+    for part in (*card.get("robustness", ()), *(column for table in card["tables"] for column in table["columns"])):
+        for result in part["results"]:
+            assert {"title", "unit", "description"} <= result.keys()
+            if described := metrics.get(result["name"]):
+                assert result["title"] == described["title"]
+                assert text.count(json.dumps(described["description"], ensure_ascii=False)) == 1

@@ -49,18 +49,66 @@ def test_what_was_exact_is_an_engine(robot: str, exact: bool | None, engine: str
     before = {"robot": robot, "simulator": simulator}
     for spec in (read_stored(TrainingSpec, before), TrainingSpec.model_validate({"format": 1, **before})):
         assert (spec.simulator.engine, spec.simulator.settle_steps) == (engine, 50)
-        assert stored(spec)["format"] == 2 and stored(spec)["simulator"]["engine"] == engine
+        assert (
+            stored(spec)["format"] == formats.CURRENT[Kind.TRAINING] and stored(spec)["simulator"]["engine"] == engine
+        )
     summary = formats.current(Kind.RESULT, {"format": 2, "training": before})
     assert TrainingSpec.model_validate(summary["training"]).simulator.engine == engine
     document = json.loads(
         next((ROOT / "packages/naopolicies/src").rglob(f"{robot}-sprint/checkpoint.json")).read_text()
     )
     document["format"], document["spec"]["simulator"] = 2, simulator
+    write_manifest(tmp_path, document)
+    assert read_manifest(tmp_path).spec.simulator.engine == engine
+
+
+def write_manifest(folder: Path, document: dict[str, Any]) -> None:
+    """Write the manifest of a checkpoint with the checksum of its specification."""
     written = {name: value for name, value in document["spec"].items() if name != "runtime"}
     text = json.dumps(written, sort_keys=True, separators=(",", ":"))
     document["spec_sha256"] = hashlib.sha256(text.encode()).hexdigest()
-    (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
-    assert read_manifest(tmp_path).spec.simulator.engine == engine
+    (folder / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_stages_with_one_candidate_are_stages(count: int, tmp_path: Path) -> None:
+    """Which of several continued is not recorded: the error names the field, and what to do instead."""
+    from naosprint.rl.checkpoint import CheckpointError, read_manifest
+
+    stages = [{"steps": 1024}, {"steps": 512, "seed": 3, "candidates": count}]
+    before = {"format": 2, "stages": stages}
+    manifest = json.loads(next((ROOT / "packages/naopolicies/src").rglob("t1-sprint/checkpoint.json")).read_text())
+    manifest["format"] = 3
+    for stage in manifest["spec"]["stages"]:
+        stage["candidates"] = count
+    write_manifest(tmp_path, manifest)
+    if count == 1:
+        assert [(stage.steps, stage.seed) for stage in read_stored(TrainingSpec, before).stages] == [
+            (1024, None),
+            (512, 3),
+        ]
+        assert formats.current(Kind.RESULT, {"format": 3, "training": before})["training"]["stages"][1] == {
+            "steps": 512,
+            "seed": 3,
+        }
+        assert len(read_manifest(tmp_path).spec.stages) == 2
+        return
+    words = r"stages\.{}\.candidates: a stage trains one policy; run a study of seeds"
+    with pytest.raises(ValidationError, match=words.format(1)):
+        read_stored(TrainingSpec, before)
+    with pytest.raises(formats.FormatError, match=words.format(1)):
+        formats.current(Kind.RESULT, {"format": 3, "training": before})
+    with pytest.raises(CheckpointError, match=words.format(0)):
+        read_manifest(tmp_path)
+
+
+def test_the_error_about_candidates_names_what_replaces_them() -> None:
+    """In a file that a user writes."""
+    with pytest.raises(ValidationError) as refused:
+        TrainingSpec.model_validate({"stages": [{"steps": 512}, {"steps": 512, "candidates": 2}]})
+    (error,) = refused.value.errors()
+    assert error["loc"] == ("stages", 1, "candidates")
+    assert "naoctl tune --space seed=0..99" in error["msg"]
 
 
 @pytest.mark.parametrize(("exact", "engine"), [(True, "mujoco"), (False, "fast"), ("true", "mujoco")])
@@ -88,11 +136,11 @@ def test_a_newer_format_is_one_sentence(kind: Kind) -> None:
 
 def test_a_format_without_conversion_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
-        formats.FormatError, match=r"^format 1 of this checkpoint is too old: this version reads formats 2 to 3$"
+        formats.FormatError, match=r"^format 1 of this checkpoint is too old: this version reads formats 2 to 4$"
     ):
         formats.current(Kind.CHECKPOINT, {"format": 1})
     raise_number(monkeypatch, Kind.CHECKPOINT, dict)
-    with pytest.raises(formats.FormatError, match=r"reads formats 2 to 4$"):
+    with pytest.raises(formats.FormatError, match=r"reads formats 2 to 5$"):
         formats.current(Kind.CHECKPOINT, {"format": 1})
 
 
@@ -106,7 +154,8 @@ def test_a_checkpoint_of_the_format_before_is_read(tmp_path: Path, monkeypatch: 
     from naosprint.rl.checkpoint import CheckpointError, read_manifest
 
     policy = next((ROOT / "packages/naopolicies/src").rglob("checkpoint.json"))
-    document = json.loads(policy.read_text(encoding="utf-8"))
+    number = formats.CURRENT[Kind.CHECKPOINT]
+    document = {**json.loads(policy.read_text(encoding="utf-8")), "format": number}
     expected = read_manifest(policy.parent)
     document["rounds"] = document.pop("updates")
     (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
@@ -115,9 +164,9 @@ def test_a_checkpoint_of_the_format_before_is_read(tmp_path: Path, monkeypatch: 
         return {**{name: value for name, value in old.items() if name != "rounds"}, "updates": old["rounds"]}
 
     raise_number(monkeypatch, Kind.CHECKPOINT, convert)
-    assert read_manifest(tmp_path).model_dump() == {**expected.model_dump(), "format": 4}
+    assert read_manifest(tmp_path).model_dump() == {**expected.model_dump(), "format": number + 1}
     monkeypatch.undo()
-    document["format"] = 4
+    document["format"] = number + 1
     (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(CheckpointError, match="newer version of naosprint"):
         read_manifest(tmp_path)

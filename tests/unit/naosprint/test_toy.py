@@ -19,7 +19,6 @@ from naosprint.__main__ import main
 from naosprint.analysis.report import write_report
 from naosprint.analysis.results import by_name
 from naosprint.registration import register_envs
-from naosprint.rl.candidates import Candidates
 from naosprint.rl.ppo import PPO
 from naosprint.tasks import Chart, End, Metric, Presentation, RewardTerm, Task
 from naosprint.tasks.robot_defaults import RobotDefaults
@@ -180,14 +179,6 @@ def test_a_number_that_is_not_finite_is_named_once_and_ends_nothing(
     stored = by_name(json.loads((result / "evaluation.json").read_text()))["progress"]
     assert (stored["value"], stored["sd"], stored["interval"], stored["high"]) == (None, None, None, 2.0)
     assert main(["report", str(result), str(page), "--metrics", str(run / "metrics.jsonl"), "--no-film"]) == 0
-
-
-def test_candidates_are_compared_by_finite_rewards() -> None:
-    candidates = Candidates()
-    candidates.add({"reward": np.nan, "episode_length": 10.0}, {"a": np.zeros(1)})
-    candidates.add({"reward": -5.0, "episode_length": 10.0}, {"a": np.ones(1)})
-    assert candidates.best is not None
-    assert candidates.best["a"] == 1.0
 
 
 def test_the_command_line_offers_it(capsys: pytest.CaptureFixture[str]) -> None:

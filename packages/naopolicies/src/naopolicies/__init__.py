@@ -11,6 +11,8 @@ Each policy is a folder under ``bundled``:
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,9 @@ CHECKPOINT = "checkpoint.json"
 REPLAY = "replay.json"
 WEIGHTS = "policy.npz"
 EARLIER = "earlier"
+
+_METRIC = ("title", "unit", "description", "digits", "better", "kind")
+"""What describes a result's metric. A stored card has it once, in ``results``, and not in its tables and conditions."""
 
 _BUNDLED = Path(__file__).parent / "bundled"
 
@@ -46,7 +51,26 @@ def card(name: str) -> dict[str, Any]:
         ValueError: if there is none; the message lists those that exist.
     """
     found: dict[str, Any] = json.loads((folder(name) / CARD).read_bytes())
+    metrics = {one["name"]: {key: one[key] for key in _METRIC} for one in found["results"]}
+    for result in _repeated(found):
+        result.update({**metrics.get(result["name"], {}), **result})
     return found
+
+
+def stored(card: dict[str, Any]) -> dict[str, Any]:
+    """Return a card as its file contains it, which :func:`card` completes."""
+    slim = deepcopy(card)
+    metrics = {one["name"] for one in slim["results"]}
+    for result in _repeated(slim):
+        for key in _METRIC if result["name"] in metrics else ():
+            del result[key]
+    return slim
+
+
+def _repeated(card: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the results of a card that other conditions or tables repeat."""
+    for part in (*card.get("robustness", ()), *(column for table in card["tables"] for column in table["columns"])):
+        yield from part["results"]
 
 
 def spec(name: str) -> dict[str, Any]:

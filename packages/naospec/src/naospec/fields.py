@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from naospec import plugins
+from naospec.formats import CANDIDATES_ARE_STUDIES
 from naospec.sections import PluginSection, Section
 from naospec.settings import LearnerSettings, RuntimeSettings, SimulatorSettings, TaskSettings
 
@@ -27,19 +29,11 @@ class Stage(BaseModel):
         ge=1,
         le=10_000_000_000,
         title="Steps",
-        description="Environment steps of the stage, for each candidate; rounded up to whole rollouts.",
+        description="Environment steps of the stage; rounded up to whole rollouts.",
         json_schema_extra={"unit": "steps"},
     )
     seed: int | None = Field(
         default=None, ge=0, le=2**31 - 1, title="Seed", description="Seed of the stage; left out: the training's."
-    )
-    candidates: int = Field(
-        default=1,
-        ge=1,
-        le=16,
-        title="Candidates",
-        description="Policies that the stage trains one after the other, each with a seed of its own. The one with the "
-        "highest mean reward per step, over its latest 100 episodes, continues.",
     )
     robot: str | None = Field(
         default=None,
@@ -55,6 +49,15 @@ class Stage(BaseModel):
         description="Task settings that differ in this stage; with a name of its own, another task with its default "
         "settings.",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_candidates(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "candidates" in data:
+            error = PydanticCustomError("replaced_setting", "{words}", {"words": CANDIDATES_ARE_STUDIES})
+            details = InitErrorDetails(type=error, loc=("candidates",), input=data["candidates"])
+            raise ValidationError.from_exception_data(cls.__name__, [details])
+        return data
 
 
 class TrainingFields(BaseModel):
@@ -95,8 +98,7 @@ class TrainingFields(BaseModel):
         ge=1,
         le=10_000_000_000,
         title="Total steps",
-        description="Environment steps to train for; rounded up to whole rollouts. With stages: their sum, all "
-        "candidates included.",
+        description="Environment steps to train for; rounded up to whole rollouts. With stages: their sum.",
         json_schema_extra={"unit": "steps"},
     )
     seed: int = Field(

@@ -28,7 +28,7 @@ class FormatError(ValueError):
     """Document of a format that this version cannot read."""
 
 
-CURRENT: dict[Kind, int] = {Kind.TRAINING: 2, Kind.EVALUATION: 1, Kind.CHECKPOINT: 3, Kind.RESULT: 3}
+CURRENT: dict[Kind, int] = {Kind.TRAINING: 3, Kind.EVALUATION: 1, Kind.CHECKPOINT: 4, Kind.RESULT: 4}
 """The formats that this version writes."""
 
 UNNUMBERED: Mapping[Kind, int] = {Kind.TRAINING: 1, Kind.EVALUATION: 1}
@@ -46,20 +46,43 @@ def _engine(spec: Document) -> Document:
     return {**spec, "simulator": {**others, "engine": "mujoco" if simulator["exact"] is True else "fast"}}
 
 
-def _engine_in(section: str) -> Callable[[Document], Document]:
+CANDIDATES_ARE_STUDIES = (
+    "a stage trains one policy; run a study of seeds (naoctl tune --space seed=0..99) and continue from its best job "
+    "(naoctl submit --from JOB)"
+)
+"""What replaces a stage's ``candidates``, of which the best continued."""
+
+
+def _one_candidate(spec: Document) -> Document:
+    """Convert a training specification: every stage trains one policy."""
+    stages = spec.get("stages")
+    if not isinstance(stages, list | tuple) or not all(isinstance(stage, Mapping) for stage in stages):
+        return spec
+    for number, stage in enumerate(stages):
+        if stage.get("candidates", 1) != 1:
+            # which of them continued is not recorded
+            raise FormatError(f"stages.{number}.candidates: {CANDIDATES_ARE_STUDIES}")
+    one = [{name: value for name, value in stage.items() if name != "candidates"} for stage in stages]
+    return {**spec, "stages": one}
+
+
+def _within(section: str, convert: Callable[[Document], Document]) -> Callable[[Document], Document]:
     """Return the conversion of a document that contains a training specification."""
 
-    def convert(document: Document) -> Document:
+    def whole(document: Document) -> Document:
         spec = document.get(section)
-        return {**document, section: _engine(dict(spec))} if isinstance(spec, Mapping) else document
+        return {**document, section: convert(dict(spec))} if isinstance(spec, Mapping) else document
 
-    return convert
+    return whole
 
 
 CONVERSIONS: dict[tuple[Kind, int], Callable[[Document], Document]] = {
     (Kind.TRAINING, 1): _engine,
-    (Kind.CHECKPOINT, 2): _engine_in("spec"),
-    (Kind.RESULT, 2): _engine_in("training"),
+    (Kind.TRAINING, 2): _one_candidate,
+    (Kind.CHECKPOINT, 2): _within("spec", _engine),
+    (Kind.CHECKPOINT, 3): _within("spec", _one_candidate),
+    (Kind.RESULT, 2): _within("training", _engine),
+    (Kind.RESULT, 3): _within("training", _one_candidate),
 }
 """From each older format that can be read, the function that returns a document of the next one."""
 

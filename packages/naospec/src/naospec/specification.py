@@ -84,7 +84,7 @@ class TrainingSpec(_Specification, TrainingFields):
         if errors := list(lacking(robot, simulator, task, sections)):
             raise ValidationError.from_exception_data(type(self).__name__, errors)
         if self.stages:
-            total = sum(stage.steps * stage.candidates for stage in self.stages)
+            total = sum(stage.steps for stage in self.stages)
             if self.total_steps != total:
                 raise PydanticCustomError(
                     "stage_steps",
@@ -159,11 +159,10 @@ class TrainingSpec(_Specification, TrainingFields):
 
     @property
     def planned_steps(self) -> int:
-        """Steps that the training takes: those of each stage and candidate rounded up to whole rollouts."""
+        """Steps that the training takes: those of each stage rounded up to whole rollouts."""
         if not self.stages:
             return -(-self.total_steps // self.rollout_steps) * self.rollout_steps
-        steps = (spec.planned_steps for spec in self.stage_specs)
-        return sum(count * stage.candidates for count, stage in zip(steps, self.stages, strict=True))
+        return sum(spec.planned_steps for spec in self.stage_specs)
 
     def overrides(self) -> dict[str, Any]:
         """Return the settings that differ from the preset, by path: ``algorithm.learning_rate``.

@@ -81,11 +81,13 @@ def _resolved_task(given: dict[str, Any], task: str, robot: str, robot_settings:
 
 
 def _steps_of(stages: object) -> int | None:
-    """Return the steps of all stages, candidates included; None if there are none, or validation will fail."""
+    """Return the steps of all stages; None if there are none, or validation will fail."""
     if not isinstance(stages, list | tuple) or not all(isinstance(stage, dict | Stage) for stage in stages):
         return None
-    given = [stage if isinstance(stage, dict) else stage.model_dump() for stage in stages]
-    factors = [(stage.get("steps"), stage.get("candidates", 1)) for stage in given]
-    if not all(isinstance(factor, int) and factor > 0 for pair in factors for factor in pair):
-        return None
-    return int(sum(steps * candidates for steps, candidates in factors))
+    total = 0
+    for stage in stages:
+        steps = stage.get("steps") if isinstance(stage, dict) else stage.steps
+        if not isinstance(steps, int) or steps <= 0:
+            return None
+        total += steps
+    return total or None

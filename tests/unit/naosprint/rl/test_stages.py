@@ -6,13 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from naospec import TrainingSpec
 from naosprint import CheckpointError, train
-from naosprint.rl.checkpoint import POLICY, read_arrays, read_manifest
-from naosprint.rl.plan import plan
-from naosprint.rl.reporter import NullReporter
+from naosprint.rl.checkpoint import read_manifest
 
 from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 
@@ -141,90 +138,3 @@ def test_stopping_right_after_the_border_saves_nothing_twice(make_spec: Make, tm
     again = train(spec, workdir=tmp_path / "again", reporter=recorder, resume=stopped.checkpoint)
     whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
     assert_same(again.checkpoint, whole.checkpoint)
-
-
-def candidates(make_spec: Make) -> TrainingSpec:
-    """Return a training whose second stage trains three candidates."""
-    stages = [
-        {"steps": 512, "algorithm": FIRST},
-        {"steps": 1024, "seed": 9, "candidates": 3, "algorithm": FIRST},
-        {"steps": 256, "seed": 2},
-    ]
-    return make_spec(stages=stages, seed=4, checkpoint_interval_steps=256)
-
-
-@pytest.fixture
-def alone(make_spec: Make, tmp_path: Path) -> dict[str, Path]:
-    """Return the policies of the candidates, each trained by itself from the first stage's policy."""
-    folder = tmp_path / "alone"
-
-    def trained(name: str, seed: int, start: Path | None) -> Path:
-        spec = make_spec(seed=seed, total_steps=512 if start is None else 1024, **FIRST)
-        return train(spec, workdir=folder / name, reporter=NullReporter(), initial_policy=start).checkpoint
-
-    first = trained("first", 4, None)
-    return {"first": first, **{str(seed): trained(str(seed), seed, first) for seed in (9, 1009, 2009)}}
-
-
-def test_the_best_candidate_continues(make_spec: Make, tmp_path: Path, recorder: Any, alone: dict[str, Path]) -> None:
-    """Each candidate is a training of its own from the same policy; the next stage starts from the best one's."""
-    spec = candidates(make_spec)
-    assert (spec.total_steps, spec.planned_steps) == (3840, 3840)
-    segments = plan(spec)
-    assert [(each.stage, each.candidate, each.end) for each in segments] == [
-        (0, 0, 512),
-        (1, 0, 1536),
-        (1, 1, 2560),
-        (1, 2, 3584),
-        (2, 0, 3840),
-    ]
-    assert [each.title for each in segments[1:3]] == [f", stage 2 of 3, candidate {k} of 3" for k in (1, 2)]
-    result = train(spec, workdir=tmp_path / "whole", reporter=recorder)
-    assert result.steps == 3840
-    rows = [row for row in recorder.rows if row["stage"] == 2]
-    assert [row["candidate"] for row in rows] == [1] * 4 + [2] * 4 + [3] * 4
-    assert not any("candidate" in row for row in recorder.rows if row["stage"] != 2)
-    rewards = [row["reward"] / row["episode_length"] for row in rows[3::4]]
-    assert len(set(rewards)) == 3
-    best = ("9", "1009", "2009")[int(np.argmax(rewards))]
-    for steps, seed in ((1536, "9"), (2560, "1009"), (3584, best)):
-        assert_same_policy(tmp_path / "whole" / f"step-{steps:012d}", alone[seed])
-    last = train(
-        make_spec(seed=2, total_steps=256), workdir=tmp_path / "last", reporter=recorder, initial_policy=alone[best]
-    )
-    assert_same(result.checkpoint, last.checkpoint)
-    assert any(message == f"candidate {np.argmax(rewards) + 1} is the best of 3" for _, message in recorder.lines)
-
-
-@pytest.mark.parametrize("stopped_at", [512, 1024, 1536, 2048, 2560, 3584])
-def test_candidates_resume_from_one_checkpoint(make_spec: Make, tmp_path: Path, recorder: Any, stopped_at: int) -> None:
-    """It is enough, wherever the training stopped: it contains their start and the best of them."""
-    spec = candidates(make_spec)
-    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
-    moved = tmp_path / "moved" / "checkpoint"
-    moved.parent.mkdir()
-    (tmp_path / "whole" / f"step-{stopped_at:012d}").rename(moved)
-    resumed = train(spec, workdir=tmp_path / "resumed", reporter=recorder, resume=moved)
-    assert (resumed.status, resumed.steps) == ("finished", 3840)
-    assert_same(resumed.checkpoint, whole.checkpoint)
-    assert read_manifest(resumed.checkpoint).episodes == read_manifest(whole.checkpoint).episodes
-
-
-def test_the_last_stage_can_have_candidates(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
-    """The training's policy is the best of them, and a finished training stays finished."""
-    spec = make_spec(stages=[{"steps": 1024, "candidates": 2}], seed=4, checkpoint_interval_steps=512)
-    result = train(spec, workdir=tmp_path / "a", reporter=recorder)
-    rewards = [row["reward"] / row["episode_length"] for row in recorder.rows[3::4]]
-    seed = 4 + 1000 * int(np.argmax(rewards))
-    best = train(make_spec(seed=seed, total_steps=1024), workdir=tmp_path / "b", reporter=recorder)
-    assert_same_policy(result.checkpoint, best.checkpoint)
-    again = train(spec, workdir=tmp_path / "again", reporter=recorder, resume=result.checkpoint)
-    assert (again.status, again.steps) == ("finished", 2048)
-    assert_same_policy(again.checkpoint, best.checkpoint)
-
-
-def assert_same_policy(ours: Path, theirs: Path) -> None:
-    one, other = (read_arrays(folder / POLICY) for folder in (ours, theirs))
-    assert one.keys() == other.keys()
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)

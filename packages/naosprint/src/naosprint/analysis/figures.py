@@ -90,8 +90,8 @@ def learning_curves(
     rows_of_panels = -(-len(shown) // columns)
     figure = Figure(figsize=(9.0, (2.8 if columns == 2 else 2.2) * rows_of_panels), layout="constrained")
     grid = figure.subplots(rows_of_panels, columns, sharex=True, squeeze=False)
-    parts = [(row.get("stage"), row.get("candidate")) for row in rows]
-    borders = [rows[i]["step"] / 1e6 for i in range(1, len(rows)) if parts[i] != parts[i - 1]]
+    stages = [row.get("stage") for row in rows]
+    borders = [rows[i]["step"] / 1e6 for i in range(1, len(rows)) if stages[i] != stages[i - 1]]
     for axes, chart in zip(grid.flat, shown, strict=True):
         known = [metrics[name] for name in chart.metrics if name in metrics]
         for metric, colour in zip(known, _PALETTE, strict=False):

@@ -343,12 +343,7 @@ def _details(
         ("Preset", spec.algorithm.preset),
         *[(f"  {name}", f"{value}") for name, value in trained.overrides().items()],
         *[
-            (
-                f"  stage {number}",
-                f"{stage.steps:,} steps"
-                + (f" for each of {stage.candidates} candidates" if stage.candidates > 1 else "")
-                + f", {json.dumps({**stage.algorithm, **stage.task})}",
-            )
+            (f"  stage {number}", f"{stage.steps:,} steps, {json.dumps({**stage.algorithm, **stage.task})}")
             for number, stage in enumerate(trained.stages, start=1)
         ],
         ("Seed", str(spec.seed)),

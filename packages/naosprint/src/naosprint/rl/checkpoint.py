@@ -4,7 +4,6 @@
     policy.npz          weights and observation statistics: all that acting needs
     learner.npz         optimiser, generators
     environment.npz     simulator, episodes, statistics; missing if the simulator has no snapshots
-    candidates.npz      candidates of the stage so far; only stages with several
     process-1.npz       the same, and generators, of the second process of a training in several; and so on
 
 A directory is written under another name and renamed when it is complete, so one that exists is complete.
@@ -38,7 +37,6 @@ MANIFEST = "checkpoint.json"
 POLICY = "policy.npz"
 LEARNER = "learner.npz"
 ENVIRONMENT = "environment.npz"
-CANDIDATES = "candidates.npz"
 
 FORMAT = formats.CURRENT[formats.Kind.CHECKPOINT]
 """Version of the checkpoint format that this code writes; it reads older ones, see `naospec.formats`."""
@@ -111,7 +109,6 @@ class TrainingState:
         stage: number of the stage that it belongs to, from 0.
         steps: environment steps of all stages so far.
         others: what the other processes of the training need to continue.
-        candidates: the stage's candidates so far; None if it has only one.
     """
 
     stage: int
@@ -125,7 +122,6 @@ class TrainingState:
     learner: Mapping[str, AnyArray]
     environment: Mapping[str, AnyArray] | None
     others: Sequence[Mapping[str, AnyArray]] = ()
-    candidates: Mapping[str, AnyArray] | None = None
 
 
 def process_file(number: int) -> str:
@@ -148,8 +144,6 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
         contents = {POLICY: state.policy, LEARNER: state.learner}
         if state.environment is not None:
             contents[ENVIRONMENT] = state.environment
-        if state.candidates is not None:
-            contents[CANDIDATES] = state.candidates
         contents |= {process_file(number): arrays for number, arrays in enumerate(state.others, 1)}
         files = {name: _write_arrays(partial / name, arrays) for name, arrays in contents.items()}
         manifest = Manifest(

@@ -17,7 +17,6 @@ PROGRESS: tuple[Metric, ...] = (
     Metric("time_s", "Training time", "s", "Time spent training, over all attempts.", 0),
     Metric("episodes", "Episodes", "", "Episodes finished since the start of the job.", 0),
     Metric("stage", "Stage", "", "Number of the stage, from 1; only trainings with several stages.", 0),
-    Metric("candidate", "Candidate", "", "Number of the candidate, from 1; only stages with several candidates.", 0),
 )
 """Metrics of a training's progress."""
 

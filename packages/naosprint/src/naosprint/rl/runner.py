@@ -12,9 +12,7 @@ from naosim.simulator import ServerLostError
 from naospec.metrics import format_value
 
 from naosprint import tasks
-from naosprint.rl.candidates import Candidates
 from naosprint.rl.checkpoint import (
-    CANDIDATES,
     ENVIRONMENT,
     LEARNER,
     POLICY,
@@ -29,7 +27,7 @@ from naosprint.rl.checkpoint import (
 )
 from naosprint.rl.engines import EngineComparison
 from naosprint.rl.learner import TrainingDivergedError, learner_kind
-from naosprint.rl.plan import Segment, plan, position
+from naosprint.rl.plan import Segment, plan
 from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.reporter import NullReporter
 from naosprint.rl.rollout import TrainingEnvironment
@@ -131,30 +129,25 @@ def train(
     if processes.rank > 0:
         reporter = NullReporter()
     set_learner_threads(spec.runtime.learner_threads)
-    segments, index, progress, candidates = plan(spec), 0, _Progress(), Candidates()
+    segments, index, progress = plan(spec), 0, _Progress()
     if resume is not None:
         manifest = read_manifest(resume)
         _require_same_training(resume, manifest.spec, spec)
-        if manifest.stage > segments[-1].stage:
+        index = manifest.stage
+        if index >= len(segments):
             raise CheckpointError(
-                f"{resume}: the checkpoint is of stage {manifest.stage + 1}, the specification has "
-                f"{segments[-1].stage + 1}"
+                f"{resume}: the checkpoint is of stage {index + 1}, the specification has {len(segments)}"
             )
-        if CANDIDATES in manifest.files:
-            candidates.load_state(read_file(resume, manifest, CANDIDATES))
-        index, begins = position(segments, manifest.stage, len(candidates.rewards), manifest.steps)
-        if begins:
+        if manifest.steps >= segments[index].end and index + 1 < len(segments):
+            # the end of this stage: the next one starts from its policy
             progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
-            resume, initial_policy = None, resume if segments[index].candidate == 0 else None
+            index, resume, initial_policy = index + 1, None, resume
     for segment in segments[index:]:
-        if segment.candidate == 0 and resume is None:
-            candidates = Candidates()
         environment, n_starts = open_training_environment(processes.share(segment.spec))
         try:
             session = _Session(
                 spec,
                 segment,
-                candidates,
                 progress,
                 environment,
                 n_starts,
@@ -169,7 +162,7 @@ def train(
             environment.close()
         if result.status == "stopped":
             break
-        resume, initial_policy = None, result.checkpoint if segment.is_last_candidate else None
+        resume, initial_policy = None, result.checkpoint
     return result
 
 
@@ -180,7 +173,6 @@ class _Session:
         self,
         whole: TrainingSpec,
         segment: Segment,
-        candidates: Candidates,
         progress: _Progress,
         environment: Environment,
         n_starts: int,
@@ -191,7 +183,6 @@ class _Session:
     ) -> None:
         self.whole = whole
         self.processes = processes
-        self.candidates = candidates
         self.segment = segment
         self.spec = spec = segment.spec
         self.progress = progress
@@ -230,8 +221,6 @@ class _Session:
             return
         if initial_policy is not None:
             self.warm_start(initial_policy)
-        elif self.candidates.start is not None:
-            self.learner.load_policy_state(self.candidates.start)
         self.learner.begin()
 
     def run(self, stop: Callable[[], bool]) -> TrainResult:
@@ -278,9 +267,7 @@ class _Session:
                 saved = began_steps if self._saved_step is None else self._saved_step
                 due = self.steps // interval > saved // interval and now >= self._saved_at + self._min_checkpoint_s
                 due = self.processes.any(due and self.processes.rank == 0) or self.steps >= end
-                means = self._report({**metrics, **(self._compared() if due else {})}, pace)
-                if self.steps >= end and self.segment.candidates > 1:
-                    self._compare(means)
+                self._report({**metrics, **(self._compared() if due else {})}, pace)
                 if due:
                     checkpoint = self._save(self._state())
                     self._log(f"checkpoint at {self.steps:,} steps: {self._means()}")
@@ -372,8 +359,6 @@ class _Session:
             raise CheckpointError(f"{directory}: {error}") from error
         require_like(directory / POLICY, policy, self.learner.policy_state())
         self.learner.load_policy_state(policy)
-        if self.segment.candidates > 1:
-            self.candidates.start = policy
         self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
 
     def _compared(self) -> dict[str, float]:
@@ -389,17 +374,6 @@ class _Session:
             return kind.load_policy(state, algorithm, observations=observations, actions=actions)
 
         return self._engines.compare(policy, self.progress.training_s - self._trained_before_s)
-
-    def _compare(self, means: Mapping[str, float]) -> None:
-        """Add this candidate to those that are trained; after the last one, continue with the best."""
-        candidates, segment = self.candidates, self.segment
-        candidates.add(means, self.learner.policy_state())
-        rewards = candidates.rewards
-        self._log(f"candidate {segment.candidate + 1} of {segment.candidates}: mean reward per step {rewards[-1]:.4g}")
-        if segment.is_last_candidate:
-            assert candidates.best is not None
-            self.learner.load_policy_state(candidates.best)
-            self._log(f"candidate {int(np.argmax(rewards)) + 1} is the best of {segment.candidates}")
 
     def _title(self) -> str:
         spec = self.spec
@@ -444,7 +418,6 @@ class _Session:
             policy=self.learner.policy_state(),
             learner=self.learner.state(),
             environment=environment if "environment.simulator" in environment else None,
-            candidates=self.candidates.state() if self.segment.candidates > 1 else None,
         )
 
     def _save(self, state: TrainingState) -> Path:
@@ -474,15 +447,14 @@ class _Session:
         self._episodes_elsewhere = int(episodes) - window.episodes
         return {name: total / filled for name, total in zip(window.names, sums, strict=True)} if filled else {}
 
-    def _report(self, metrics: Mapping[str, float], pace: Mapping[str, float]) -> dict[str, float]:
-        """Report one update, without values that are no finite numbers; return the means over the latest episodes."""
-        means = self._window_means()
+    def _report(self, metrics: Mapping[str, float], pace: Mapping[str, float]) -> None:
+        """Report one update, without values that are no finite numbers."""
         row: dict[str, float] = {
             "step": float(self.steps),
             "time_s": self.progress.training_s,
             "episodes": float(self.episodes),
             **self.segment.labels,
-            **means,
+            **self._window_means(),
             **metrics,
             **pace,
         }
@@ -491,7 +463,6 @@ class _Session:
             row["server_failures"] = float(simulator.failures)
         row |= {name: float(count) for name, count in simulator.counters.items()}
         self._reporter.metrics(dict(self._finite(row)))
-        return means
 
     def _finite(self, row: Mapping[str, float]) -> Iterator[tuple[str, float]]:
         """Yield the values that are finite numbers; name each metric once that has others, which stores cannot hold."""

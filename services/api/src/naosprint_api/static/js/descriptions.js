@@ -26,7 +26,7 @@ const BARE = {
   goal: null,
 };
 /** Columns of metrics that are no curves. */
-const PROGRESS = new Set(["step", "attempt", "time_s", "episodes", "stage", "candidate", "eta_s", "server_failures"]);
+const PROGRESS = new Set(["step", "attempt", "time_s", "episodes", "stage", "eta_s", "server_failures"]);
 
 /** Name of the plug-in of a specification's section; a specification of an older version may have none. */
 export const nameOf = (spec, section) =>

@@ -568,9 +568,7 @@ class SubmitView {
     if (task) setText(this.fields.get("spec.task.name").element.querySelector(".hint"), task.summary);
     const stages = value("stages");
     const staged = Array.isArray(stages) && stages.length;
-    const total = staged
-      ? stages.reduce((sum, { steps = NaN, candidates = 1 }) => sum + steps * candidates, 0)
-      : value("total_steps");
+    const total = staged ? stages.reduce((sum, { steps = NaN }) => sum + steps, 0) : value("total_steps");
     const rollout = value("algorithm.n_envs") * value("algorithm.n_steps");
     const interval = value("runtime.checkpoint_interval_steps");
     const seed = value("seed");
