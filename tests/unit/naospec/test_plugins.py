@@ -126,11 +126,15 @@ def test_settings_must_be_a_section(offered: list[EntryPoint]) -> None:
 TOYS = """
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping, Sequence
+
 from naosim import kinds, robots
+from naosim.robots import RobotParameters
 from naosim.simulator import Simulator, SimulatorKind
-from naospec import TaskSettings, TrainingSpec, plugins
+from naospec import LearnerSettings, TaskSettings, TrainingSpec, plugins
 from naosprint import tasks
-from naosprint.arrays import IntArray
+from naosprint.arrays import AnyArray, IntArray
 from naosprint.rl.learner import LearnerKind, learner_kind
 from naosprint.tasks import Task
 from naosprint.tasks.environment import Environment
@@ -220,6 +224,26 @@ class Missing(LearnerKind):
     name = "toy"
 
 
+class WrongPolicy(LearnerKind):
+    def load_policy(
+        self,
+        state: Mapping[str, AnyArray],
+        settings: LearnerSettings,
+        *,
+        observations: Sequence[str],
+        actions: Sequence[str],
+    ) -> str:
+        return ""
+
+    def describe(self) -> str:
+        return ""
+
+
+class WrongRobot(RobotParameters):
+    def applied(self, robot: robots.Robot) -> robots.Robot:
+        return dataclasses.replace(robot, nominal_rad=0.5)
+
+
 KIND = Missing()
 robots.get("nao-0").fall_height_m
 
@@ -242,6 +266,8 @@ def use(spec: TrainingSpec, simulator: Simulator) -> None:
     kinds.get(spec.simulator.name).open(spec.robot, 1, spec.simulator)
     learner_kind(spec.algorithm.name).load(spec)
     plugins.load(plugins.ROBOTS, "t1").supports
+    plugins.load(plugins.LEARNERS, "ppo").load_policy({{}}, spec.algorithm, observations=(), actions=()).acts
+    plugins.load(plugins.TASKS, "sprint1").presentation.headlines
     Environment(simulator, Missing, spec.task)
     Environment(simulator, Dive, spec.simulator)
 """,
@@ -268,6 +294,11 @@ def use(spec: TrainingSpec, simulator: Simulator) -> None:
         'Argument 1 to "open" of "SimulatorKind" has incompatible type "Section"; expected "Robot"',
         '"LearnerKind" has no attribute "load"',
         '"RobotContract" has no attribute "supports"',
+        'Return type "str" of "load_policy" incompatible with return type "Policy"',
+        'Return type "str" of "describe" incompatible with return type "dict[str, object]"',
+        'Argument "nominal_rad" to "replace" of "Robot" has incompatible type "float"',
+        '"PolicyContract" has no attribute "acts"',
+        '"Presentation" has no attribute "headlines"',
         'Argument 2 to "Environment" has incompatible type "type[Missing]"; expected "type[Task[TaskSettings]]"',
         'Argument 3 to "Environment" has incompatible type "SimulatorSettings"; expected "TaskSettings"',
     ):

@@ -6,9 +6,10 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, stored, validation_words
+from naospec.metrics import EPISODE_METRICS, Metric
 from naospec.search import Objective, SearchSpec
 from pydantic import ValidationError
 from sqlalchemy import func, select
@@ -110,13 +111,15 @@ def submit_study(
 def complete(search: SearchSpec, job: JobRequest) -> SearchSpec:
     """Return `search` with everything that the task decides. Raises InvalidError."""
     name = job.evaluation.task.name if job.evaluation and job.evaluation.task else job.spec.task.name
-    task = plugins.load(plugins.TASKS, name).describe()
-    metrics = {metric["name"]: metric for metric in (*task["results"], *task["metrics"])}
+    task = plugins.load(plugins.TASKS, name)
+    metrics = {metric.name: replace(metric, live=False) for metric in task.results}
+    metrics |= {metric.name: metric for metric in (*EPISODE_METRICS, *task.metrics)}
     evaluated = job.evaluation is not None
     objectives = search.objectives
     if not objectives:
-        headline = [name for name in task["headline"] if name in metrics and (evaluated or metrics[name]["live"])]
-        objectives = [Objective(metric=headline[0] if headline else "reward")]
+        headline = [metrics[each] for each in task.presentation.headline if each in metrics]
+        headline = [metric for metric in headline if evaluated or metric.live]
+        objectives = [Objective(metric=headline[0].name if headline else "reward")]
     chosen = []
     for number, objective in enumerate(objectives):
         place = f"search.objectives.{number}"
@@ -124,7 +127,7 @@ def complete(search: SearchSpec, job: JobRequest) -> SearchSpec:
         if metric is None:
             known = ", ".join(sorted(metrics))
             raise InvalidError(f"task {name} has no metric {objective.metric!r}; choose one of {known}", place)
-        if not evaluated and not metric["live"]:
+        if not evaluated and not metric.live:
             raise InvalidError(f"{objective.metric} comes from an evaluation; evaluate, or use another metric", place)
         better = _direction(metric)
         if objective.direction is None and better is None:
@@ -133,9 +136,9 @@ def complete(search: SearchSpec, job: JobRequest) -> SearchSpec:
     pruning = search.pruning
     if pruning.name != "none":
         first = chosen[0].metric
-        by = pruning.metric or (first if metrics[first]["live"] else "reward")
-        if not metrics.get(by, {}).get("live"):
-            known = ", ".join(sorted(name for name, metric in metrics.items() if metric["live"]))
+        by = pruning.metric or (first if metrics[first].live else "reward")
+        if by not in metrics or not metrics[by].live:
+            known = ", ".join(sorted(name for name, metric in metrics.items() if metric.live))
             raise InvalidError(f"trainings report no metric {by!r}; choose one of {known}", "search.pruning.metric")
         interval = pruning.interval_steps or max(1, job.spec.planned_steps // 20)
         direction = chosen[0].direction if by == first else _direction(metrics[by])
@@ -144,10 +147,10 @@ def complete(search: SearchSpec, job: JobRequest) -> SearchSpec:
     return search.model_copy(update={"objectives": chosen, "pruning": pruning})
 
 
-def _direction(metric: Mapping[str, Any]) -> str | None:
-    if metric["name"] == "reward":
+def _direction(metric: Metric) -> Literal["maximize", "minimize"] | None:
+    if metric.name == "reward" or metric.better == "higher":
         return "maximize"
-    return {"higher": "maximize", "lower": "minimize"}.get(metric["better"] or "")
+    return "minimize" if metric.better == "lower" else None
 
 
 def trial_job(job: JobRequest, params: Mapping[str, Any], *, field: str = "search.space") -> JobRequest:

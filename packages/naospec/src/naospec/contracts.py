@@ -7,10 +7,13 @@ A package above this one finds a plug-in as what it is there: ``naosim.robots.ge
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from pydantic import BaseModel
 
+from naospec.metrics import Metric, Presentation
+
+Array = TypeVar("Array")
 Settings = TypeVar("Settings", bound=BaseModel)
 
 
@@ -25,8 +28,13 @@ class PerceptorContract(Protocol):
 class RobotContract(Protocol):
     """A robot."""
 
-    name: str
-    family: str
+    @property
+    def name(self) -> str:
+        """How specifications refer to it."""
+
+    @property
+    def family(self) -> str:
+        """Name that robots of the same kind share."""
 
     @property
     def parameters(self) -> BaseModel:
@@ -36,10 +44,10 @@ class RobotContract(Protocol):
     def perceptors(self) -> Iterable[PerceptorContract]:
         """What it perceives."""
 
-    def with_parameters(self, values: Mapping[str, Any]) -> RobotContract:
+    def with_parameters(self, values: Mapping[str, object]) -> RobotContract:
         """Return this robot with other settings."""
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return a description for user interfaces."""
 
 
@@ -68,6 +76,13 @@ class SimulatorContract(Protocol):
         """Return why this machine cannot run a robot that it supports; empty if it can."""
 
 
+class PolicyContract(Protocol):
+    """A trained policy."""
+
+    def act(self, observations: Array) -> Array:
+        """Return (n, A) actions for (n, D) raw observations, arrays of the same type."""
+
+
 class LearnerContract(Protocol):
     """A learning algorithm."""
 
@@ -75,11 +90,11 @@ class LearnerContract(Protocol):
     Parameters: type[BaseModel]
 
     def load_policy(
-        self, state: Mapping[str, Any], settings: Any, *, observations: Sequence[str], actions: Sequence[str]
-    ) -> Any:
+        self, state: Mapping[str, object], settings: BaseModel, *, observations: Sequence[str], actions: Sequence[str]
+    ) -> PolicyContract:
         """Return a trained policy."""
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return a description for user interfaces."""
 
 
@@ -90,6 +105,9 @@ class TaskContract(Protocol):
     version: int
     scene: object
     needs: Iterable[object]
+    metrics: Sequence[Metric]
+    results: Sequence[Metric]
+    presentation: Presentation
     Parameters: type[BaseModel]
 
     def supports(self, robot: RobotContract) -> bool:
@@ -101,5 +119,5 @@ class TaskContract(Protocol):
     def resolve(self, parameters: Settings, robot: RobotContract) -> Settings:
         """Return the settings with those that depend on the robot filled in."""
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return a description for user interfaces."""

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from types import UnionType
-from typing import Any, ClassVar, Generic, TypeVar, get_origin, get_type_hints
+from typing import ClassVar, Generic, TypeVar, cast, get_origin, get_type_hints
 
 from naospec.contracts import LearnerContract, RobotContract, SimulatorContract, TaskContract
 
@@ -32,7 +32,7 @@ ROBOTS = Group[RobotContract]("naosim.robots")
 SIMULATORS = Group[SimulatorContract]("naosim.simulators")
 TASKS = Group[TaskContract]("naosprint.tasks")
 LEARNERS = Group[LearnerContract]("naosprint.learners")
-ROBOT_DEFAULTS = Group[Callable[[Any], object]]("naosprint.robots")
+ROBOT_DEFAULTS = Group[Callable[[RobotContract], object]]("naosprint.robots")
 
 _BASES: dict[str, str] = {
     ROBOTS: "naosim.robots.Robot",
@@ -93,8 +93,7 @@ def load(group: Group[Found], name: str) -> Found:
         BrokenPluginError: if it cannot be imported, or is not what the group expects; the message names package, class
             and method.
     """
-    found: Found = _load(group, name)
-    return found
+    return cast("Found", _load(group, name))
 
 
 def usable(group: Group[Found]) -> Iterator[tuple[str, Found]]:
@@ -107,7 +106,7 @@ def usable(group: Group[Found]) -> Iterator[tuple[str, Found]]:
 
 
 @cache
-def _load(group: str, name: str) -> Any:
+def _load(group: str, name: str) -> object:
     entry = _entries(group).get(name)
     if entry is None:
         raise UnknownPluginError(
@@ -125,7 +124,7 @@ def _load(group: str, name: str) -> Any:
         ) from error
 
 
-def _require_contract(group: str, name: str, plugin: Any) -> None:
+def _require_contract(group: str, name: str, plugin: object) -> None:
     """Check a plug-in's name, its attributes, and the methods with which it overrides those of its base class.
 
     Raises:
@@ -141,15 +140,15 @@ def _require_contract(group: str, name: str, plugin: Any) -> None:
     for attribute, annotation in contract.__annotations__.items():
         if "ClassVar" in str(annotation) and not hasattr(plugin, attribute):
             raise TypeError(f"{kind.__name__} has no {attribute}; set it")
-    if plugin.name != name:
-        raise TypeError(f"{kind.__name__}.name is {plugin.name!r}, its entry point's {name!r}; they must be equal")
+    if (own_name := getattr(plugin, "name", None)) != name:
+        raise TypeError(f"{kind.__name__}.name is {own_name!r}, its entry point's {name!r}; they must be equal")
     for method, expected in vars(contract).items():
         own = inspect.getattr_static(kind, method)
         if method.startswith("_") or own is expected or not isinstance(expected, classmethod | _FUNCTION):
             continue
         if type(own) is not type(expected):
             raise TypeError(f"{kind.__name__}.{method} must be a {type(expected).__name__}, not {type(own).__name__}")
-        reason = _mismatch(getattr(own, "__func__", own), getattr(expected, "__func__", expected))
+        reason = _mismatch(_function(own), _function(expected))
         if reason:
             raise TypeError(f"{kind.__name__}.{method}: {reason}")
 
@@ -157,7 +156,12 @@ def _require_contract(group: str, name: str, plugin: Any) -> None:
 _FUNCTION = type(_require_contract)
 
 
-def _mismatch(own: Any, expected: Any) -> str:
+def _function(method: object) -> Callable[..., object]:
+    """Return the function of a class method, or the method itself."""
+    return cast("Callable[..., object]", getattr(method, "__func__", method))
+
+
+def _mismatch(own: Callable[..., object], expected: Callable[..., object]) -> str:
     """Return why a method cannot be called like the one that it overrides, or returns something else; else nothing."""
     parameters = inspect.signature(expected).parameters.values()
     for chosen in (parameters, [each for each in parameters if each.default is each.empty]):

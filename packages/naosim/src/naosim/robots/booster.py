@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from pydantic import Field, field_validator
 
@@ -127,15 +127,13 @@ class BoosterParameters(RobotParameters):
         "without the torso's position and velocity.",
     )
 
-    def description(self, robot: Robot) -> dict[str, Any]:
-        """Return the range of the actions, and the nominal pose with the head's angle."""
+    def applied(self, robot: Robot) -> Robot:
+        """Return the robot with its range of actions, and the nominal pose with the head's angle."""
         names = (joint.name for joint in robot.joints if joint.actuated)
         pose = {name: angle for name, angle in robot.nominal_rad.items() if name != "head_pitch"}
         pose |= {"head_pitch": self.head_pitch_rad} if self.head_pitch_rad else {}
-        return {
-            "action_range_rad": MappingProxyType(dict.fromkeys(names, self.action_range_rad)),
-            "nominal_rad": MappingProxyType(pose),
-        }
+        reach = MappingProxyType(dict.fromkeys(names, self.action_range_rad))
+        return replace(robot, action_range_rad=reach, nominal_rad=MappingProxyType(pose))
 
     @field_validator("kp")
     @classmethod
@@ -288,7 +286,7 @@ def _robot(
         field=RCSSSERVERMJ,
         camera=camera,
     )
-    return replace(robot, **parameters.description(robot))
+    return parameters.applied(robot)
 
 
 T1 = _robot(

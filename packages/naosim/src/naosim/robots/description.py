@@ -28,10 +28,9 @@ ShapeKind = Literal["box", "sphere", "capsule", "cylinder"]
 class RobotParameters(Section):
     """Base of a robot's settings, for example motor gains; they are part of a training's specification."""
 
-    def description(self, robot: Robot) -> dict[str, Any]:
-        """Return the fields of ``robot`` that these settings determine, with their values; by default none."""
-        del robot
-        return {}
+    def applied(self, robot: Robot) -> Robot:
+        """Return the robot with those fields that these settings determine; by default none."""
+        return robot
 
 
 @dataclass(frozen=True)
@@ -152,16 +151,16 @@ class Robot(Plugin):
     field: Field = RCSSSERVER3D
     camera: CameraMount | None = None
 
-    def with_parameters(self, values: Mapping[str, Any]) -> Robot:
+    def with_parameters(self, values: Mapping[str, object]) -> Robot:
         """Return this robot with other parameters.
 
         Raises:
             pydantic.ValidationError: if a value is out of range or unknown.
         """
         parameters = type(self.parameters).model_validate(dict(values))
-        return replace(self, parameters=parameters, **parameters.description(self))
+        return parameters.applied(replace(self, parameters=parameters))
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return a description of the robot for user interfaces, as a JSON object."""
         return {
             "name": self.name,

@@ -8,7 +8,8 @@ symmetric posture.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -69,10 +70,10 @@ class NaoParameters(RobotParameters):
             raise ValueError("ground_velocity: a robot with onboard_sensing does not perceive it; set one of the two")
         return self
 
-    def description(self, robot: Robot) -> dict[str, Any]:
-        """Return the perceptors: an onboard robot has vision."""
-        perceptors = [each for each in robot.perceptors if each != _VISION]
-        return {"perceptors": (*perceptors, _VISION) if self.onboard_sensing else tuple(perceptors)}
+    def applied(self, robot: Robot) -> Robot:
+        """Return the robot with its perceptors: an onboard robot has vision."""
+        perceptors = tuple(each for each in robot.perceptors if each != _VISION)
+        return replace(robot, perceptors=(*perceptors, _VISION) if self.onboard_sensing else perceptors)
 
 
 def _side(name: str) -> Side:

@@ -7,7 +7,7 @@ entry-point group ``naosprint.learners``.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from naospec import plugins
 from naospec.plugins import LEARNERS, Plugin
@@ -171,7 +171,7 @@ class LearnerKind(ABC, Plugin):
             ValueError: naming the first array that does not fit. A missing one may raise KeyError.
         """
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return a description of the algorithm for user interfaces, as a JSON object."""
         from dataclasses import asdict
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, cast
+from typing import TYPE_CHECKING, ClassVar, Generic, cast
 
 import numpy as np
 from naosim import robots
@@ -248,7 +248,7 @@ class Task(Plugin, Generic[Settings]):
         return (), ()
 
     @classmethod
-    def describe(cls) -> dict[str, Any]:
+    def describe(cls) -> dict[str, object]:
         """Return a description of the task for user interfaces, as a JSON object."""
         from dataclasses import asdict, replace
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import naopolicies
 import numpy as np
@@ -15,13 +15,6 @@ if TYPE_CHECKING:
 
 _MOST_NAMED = 6
 """Most observations that a message names."""
-
-
-class Acting(Protocol):
-    """What a task needs of a policy."""
-
-    def act(self, observations: FloatArray) -> FloatArray:
-        """Return (n, A) actions for (n, D) raw observations."""
 
 
 class FrozenPolicy:
@@ -46,7 +39,7 @@ class FrozenPolicy:
         self.observations: tuple[str, ...] = tuple(manifest["observations"])
         kind = plugins.load(plugins.LEARNERS, self.spec.algorithm.name)
         with np.load(folder / naopolicies.WEIGHTS) as arrays:
-            self._policy: Acting = kind.load_policy(
+            self._policy = kind.load_policy(
                 dict(arrays), self.spec.algorithm, observations=self.observations, actions=manifest["actions"]
             )
         self._columns: dict[tuple[str, ...], IntArray] = {}
