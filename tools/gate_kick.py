@@ -21,7 +21,7 @@ from naospec.json_text import json_text
 from naosprint import evaluate
 from naosprint.analysis.results import by_name
 from naosprint.rl.checkpoint import read_manifest
-from naosprint.tasks.kick import CORRIDORS_M
+from naosprint.tasks.kick_results import CORRIDORS_M
 from points import Point, at_least, at_most
 
 EPISODES, SEED = 200, 90_000

@@ -25,7 +25,7 @@ from naospec import plugins
 from naosprint.export import export_policy
 from naosprint.rl.checkpoint import read_manifest
 from naosprint.tasks.ball import UPRIGHT
-from naosprint.tasks.kick import CORRIDOR_HALF_M, CORRIDORS_M, UPRIGHT_S
+from naosprint.tasks.kick_results import CORRIDOR_HALF_M, CORRIDORS_M, UPRIGHT_S
 
 PERCEIVED = {
     "position": "torso_pos",

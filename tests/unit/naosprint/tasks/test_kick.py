@@ -19,7 +19,9 @@ from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.frozen import FrozenPolicy
 from naosprint.tasks.handover import HandOver, record
-from naosprint.tasks.kick import UPRIGHT_S, Kick, KickSettings
+from naosprint.tasks.kick import Kick
+from naosprint.tasks.kick_results import UPRIGHT_S
+from naosprint.tasks.kick_settings import KickSettings
 from naosprint.tasks.observations import ObservationBlock, Observer
 from naosprint.tasks.velocity import Velocity, VelocitySettings
 from naosprint.terms import source

@@ -10,7 +10,7 @@ from naosim.robots.actuation import Actuation
 from naosim.simulator import STEP_S
 
 from naosprint.export import booster, nao
-from naosprint.tasks.kick import KickSettings
+from naosprint.tasks.kick_settings import KickSettings
 
 if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, FloatArray

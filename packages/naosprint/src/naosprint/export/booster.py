@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from naospec import SimulatorSettings
 
     from naosprint.arrays import AnyArray
-    from naosprint.tasks.kick import KickSettings
+    from naosprint.tasks.kick_settings import KickSettings
 
 __all__ = ["FAMILY", "arrays", "controller", "kick_arrays"]
 

@@ -10,17 +10,33 @@ Rewards and results use the truth.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from naosim.simulator import BALL, STEP_S
-from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
-from pydantic import Field
+from naospec.metrics import Chart, Presentation
 
 from naosprint.tasks import rolling
-from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, components, principal
+from naosprint.tasks.ball import FOOT_M, BallTask, principal
 from naosprint.tasks.base import End, RewardTerm
 from naosprint.tasks.falls import FALL, FALL_RATE
+from naosprint.tasks.kick_results import (
+    CONTACT,
+    CORRIDOR_5,
+    DISTANCE,
+    DISTANCE_ERROR,
+    GOAL,
+    LAUNCH_ERROR,
+    POWER,
+    ROLL,
+    ROLL_ERROR,
+    STOP_ERROR,
+    STOP_ERROR_90,
+    UPRIGHT_RATE,
+    UPRIGHT_S,
+    Kicks,
+)
+from naosprint.tasks.kick_settings import KickSettings
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock
 from naosprint.tasks.penalties import penalties
@@ -51,21 +67,11 @@ from naosprint.terms.randomness import uniform
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from naospec.metrics import Result, ResultTable
+
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
     from naosprint.tasks.observations import Observer
-
-CORRIDORS_M = (2.0, 3.5, 5.0)
-"""Lengths of the corridors that a kick has to pass."""
-
-CORRIDOR_HALF_M = 0.5
-"""Half the corridors' width, metres."""
-
-GOAL_M, GOAL_HALF_M = 8.0, 1.83
-"""Distance of a goal, and half its width, metres."""
-
-UPRIGHT_S = 3.0
-"""Time after the touch at which a robot has to be upright, seconds."""
 
 KICKED_M = 0.04
 """Distance between the ball and where it was expected from which it counts as kicked, metres."""
@@ -83,215 +89,6 @@ _CALM = 0.2  # share of a new velocity in that which is expected
 _DISTANCE_SPREAD = 0.35  # of the logarithm of actual to commanded roll, at which a score has fallen to 1/e
 _STREAM = 0x61C
 
-CONTACT = Metric(
-    "contact_rate", "Touches", "%", "Fraction of episodes in which the ball is touched.", 1, "higher", "rate"
-)
-KICK_FALLS = FALL_RATE
-LAUNCH_ERROR = Metric(
-    "launch_error_deg",
-    "Launch error",
-    "°",
-    "Angle between commanded and actual direction of the ball's roll.",
-    1,
-    "lower",
-)
-ROLL = Metric(
-    "roll_m", "Roll", "m", "Distance that the kick lets the ball roll straight along an axis of the field.", 1
-)
-ROLL_ERROR = Metric("roll_error", "Roll error", "%", "Difference from the commanded roll as a share of it.", 0, "lower")
-UPRIGHT_RATE = Metric(
-    "upright_rate",
-    "Upright after 3 s",
-    "%",
-    "Fraction of the kicks 3 s after which the robot stands.",
-    1,
-    "higher",
-    "rate",
-    False,
-)
-STOP_ERROR = Metric(
-    "stop_error_deg",
-    "Direction error",
-    "°",
-    "Median angle between the commanded point and where the ball stops.",
-    1,
-    "lower",
-    live=False,
-)
-STOP_ERROR_90 = Metric(
-    "stop_error_90_deg",
-    "Direction error, 90th percentile",
-    "°",
-    "Error that nine of ten kicks stay below.",
-    1,
-    "lower",
-    live=False,
-)
-DISTANCE = Metric(
-    "kick_distance_m", "Distance", "m", "Distance from the ball's start to where it stops.", 2, live=False
-)
-POWER = Metric(
-    "power_distance_m",
-    "Distance of power kicks",
-    "m",
-    "Mean distance of the kicks that are to go as far as possible.",
-    2,
-    "higher",
-    live=False,
-)
-DISTANCE_ERROR = Metric(
-    "distance_error",
-    "Distance error",
-    "%",
-    "Median difference from commanded distances of 2 to 6 m, as a share.",
-    1,
-    "lower",
-    live=False,
-)
-CORRIDOR = Metric(
-    "corridor_rate",
-    "Through the corridor",
-    "%",
-    "Fraction of the kicks that are to go at least so far, stay within a corridor of 1 m, and leave the robot upright.",
-    1,
-    "higher",
-    "rate",
-    False,
-)
-CORRIDOR_5 = Metric(
-    "corridor_5_rate",
-    "Corridor of 5 m",
-    "%",
-    "Fraction of those kicks through a corridor of 5 m.",
-    1,
-    "higher",
-    "rate",
-    False,
-)
-
-
-GOAL = Metric(
-    "goal_rate",
-    "Into a goal 8 m away",
-    "%",
-    "Fraction of the kicks that are to go at least 8 m, cross the line of a goal of 3.66 m there, and leave the robot "
-    "upright.",
-    1,
-    "higher",
-    "rate",
-    False,
-)
-
-
-class KickSettings(BallSettings):
-    """Settings of the task ``kick``."""
-
-    ranges = (*BallSettings.ranges, ("distance_min_m", "distance_max_m"))
-
-    aligned_fraction: float = Field(
-        default=0.65,
-        ge=0.0,
-        le=1.0,
-        title="Aligned fraction",
-        description="Fraction of the episodes with an aim within 10 degrees, and a ball 0.45 to 0.9 m ahead and within "
-        "6 cm of a foot's line.",
-    )
-    aim_max_deg: float = Field(
-        default=30.0,
-        ge=0.0,
-        le=45.0,
-        title="Largest aim",
-        description="Largest angle between the robot's front and the commanded direction in the other episodes.",
-        json_schema_extra={"unit": "deg"},
-    )
-    rolling_fraction: float = Field(
-        default=0.1,
-        ge=0.0,
-        le=1.0,
-        title="Rolling fraction",
-        description="Fraction of the episodes with a rolling ball.",
-    )
-    ball_speed_max_mps: float = Field(
-        default=1.5,
-        ge=0.0,
-        le=1.5,
-        title="Fastest ball",
-        description="Largest speed of a rolling ball.",
-        json_schema_extra={"unit": "m/s"},
-    )
-    distance_min_m: float = Field(
-        default=1.5,
-        ge=1.5,
-        le=10.0,
-        title="Shortest kick",
-        description="Lower end of the commanded distance.",
-        json_schema_extra={"unit": "m"},
-    )
-    distance_max_m: float = Field(
-        default=10.0,
-        ge=1.5,
-        le=10.0,
-        title="Longest kick",
-        description="Upper end of the commanded distance.",
-        json_schema_extra={"unit": "m"},
-    )
-    power_fraction: float = Field(
-        default=0.4,
-        ge=0.0,
-        le=1.0,
-        title="Power kicks",
-        description="Fraction of the kicks that are to go as far as possible; their commanded distance is 10 m.",
-    )
-    takeover_steps: int = Field(
-        default=6,
-        ge=0,
-        le=1000,
-        title="Takeover",
-        description="Steps from the perceived kick until the walker takes over.",
-        json_schema_extra={"unit": "steps"},
-    )
-    watch_steps: int = Field(
-        default=45,
-        ge=0,
-        le=1000,
-        title="Walker's steps",
-        description="Steps that the walker acts before an episode ends.",
-        json_schema_extra={"unit": "steps"},
-    )
-    approach_steps: int = Field(
-        default=150,
-        ge=10,
-        le=10_000,
-        title="Approach limit",
-        description="Steps within which the ball has to be kicked.",
-        json_schema_extra={"unit": "steps"},
-    )
-    whole_roll: bool = Field(
-        default=False,
-        title="Whole roll",
-        description="Episodes end when the ball has stopped and 3 s have passed, as in evaluations.",
-    )
-    place_weight: float = Field(
-        default=1.0,
-        ge=0.0,
-        le=1000.0,
-        title="Placement weight",
-        description="Reward for a first touch with the ball before the foot, whose yaw is that of the aim.",
-    )
-    upright_weight: float = Field(
-        default=1.0, ge=0.0, le=1000.0, title="Upright weight", description="Reward for an episode that ends upright."
-    )
-    miss_penalty: float = Field(
-        default=1.0, ge=0.0, le=1000.0, title="Miss penalty", description="Penalty for an episode without a kick."
-    )
-    time_penalty: float = Field(
-        default=0.002, ge=0.0, le=1.0, title="Time penalty", description="Penalty per step before the first touch."
-    )
-
-    def for_evaluation(self) -> Self:
-        """Return the same settings without disturbances, and with episodes that last until the ball has stopped."""
-        return super().for_evaluation().model_copy(update={"whole_roll": True})
-
 
 class Kick(BallTask[KickSettings]):
     """Kick a ball to a commanded point.
@@ -305,7 +102,7 @@ class Kick(BallTask[KickSettings]):
     name = "kick"
     summary = "Kick a ball to a commanded point, from walking, and keep standing."
     Parameters = KickSettings
-    metrics = (CONTACT, LAUNCH_ERROR, ROLL, ROLL_ERROR, KICK_FALLS)
+    metrics = (CONTACT, LAUNCH_ERROR, ROLL, ROLL_ERROR, FALL_RATE)
     results = (UPRIGHT_RATE, CORRIDOR_5, STOP_ERROR, STOP_ERROR_90, DISTANCE_ERROR, GOAL, POWER, DISTANCE)
     ends = (FALL, End("done", "Kick"), End("missed", "No kick"))
     trace = ("ball_x", "ball_y", "touched", "direction", "distance", "aligned", "launch_error")
@@ -600,97 +397,15 @@ class Kick(BallTask[KickSettings]):
 
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
         """Return results of all episodes, and those of aligned and of other starts side by side."""
-        kicks = _Kicks(episodes)
+        kicks = Kicks(episodes)
         everyone = np.ones(len(episodes), dtype=np.bool_)
         results = (
             *kicks.results(everyone, statistics),
             statistics.rate(FALL_RATE, episodes.ends["fallen"]),
         )
-        classes = {"Aligned": kicks.aligned, "Other": ~kicks.aligned}
-        corridors = ResultTable(
-            "corridors",
-            "Corridors by start",
-            "Fraction of the kicks of at least this distance that pass a corridor of 1 m and leave the robot upright.",
-            Metric("corridor_m", "Corridor", "m", digits=1),
-            CORRIDORS_M,
-            {
-                title: tuple(statistics.rate(CORRIDOR, kicks.passed(length, chosen)) for length in CORRIDORS_M)
-                for title, chosen in classes.items()
-                if chosen.any()
-            },
-        )
-        return results, (corridors,)
+        return results, (kicks.corridors(statistics),)
 
 
 def _bell(number: Number) -> Number:
     """Return exp(-x^2)."""
     return exp(square(number) * -1.0)
-
-
-class _Kicks:
-    """What became of the balls of an evaluation.
-
-    Attributes:
-        aligned: (episodes,) whether the start was aligned.
-    """
-
-    def __init__(self, episodes: Episodes) -> None:
-        self._paths = [trace[:, :2] - trace[0, :2] for trace in episodes.trace]
-        first = np.array([trace[0] for trace in episodes.trace])
-        self._direction, self._distance, self.aligned = first[:, 3], first[:, 4], first[:, 5] > 0.0
-        touched = np.array([trace[-1, 2] > 0.0 for trace in episodes.trace])
-        moment = np.array([int(np.argmax(trace[:, 2] > 0.0)) for trace in episodes.trace])
-        late = episodes.steps - moment >= UPRIGHT_S / STEP_S
-        self._touched, self._upright = touched, touched & (late | ~episodes.ends["fallen"])
-        self._along, self._across = zip(
-            *(
-                components(np.array(direction), path)
-                for direction, path in zip(self._direction, self._paths, strict=True)
-            ),
-            strict=True,
-        )
-        ends = np.array([path[-1] for path in self._paths])
-        self._rolled = np.hypot(*ends.T)
-        self._error = np.degrees(np.abs(principal(np.arctan2(ends[:, 1], ends[:, 0]) - self._direction)))
-        self._power = np.isinf(self._distance)
-
-    def passed(self, length: float, chosen: BoolArray) -> BoolArray:
-        """Return which of the chosen kicks of at least this distance pass the corridor."""
-        return np.array(
-            [self._passes(i, length) for i in np.flatnonzero(chosen & (self._distance >= length)).tolist()],
-            dtype=np.bool_,
-        )
-
-    def scored(self, chosen: BoolArray) -> BoolArray:
-        """Return which of the chosen kicks of at least 8 m cross a goal's line there."""
-        far = np.flatnonzero(chosen & (self._distance >= GOAL_M)).tolist()
-        return np.array([self._scores(i) for i in far], dtype=np.bool_)
-
-    def _scores(self, i: int) -> bool:
-        beyond = np.flatnonzero(self._along[i] >= GOAL_M)
-        return bool(len(beyond) and self._upright[i] and abs(self._across[i][beyond[0]]) <= GOAL_HALF_M)
-
-    def _passes(self, i: int, length: float) -> bool:
-        beyond = np.flatnonzero(self._along[i] >= length)
-        if not len(beyond) or not self._upright[i]:
-            return False
-        return bool(np.abs(self._across[i][: beyond[0] + 1]).max() <= CORRIDOR_HALF_M)
-
-    def results(self, chosen: BoolArray, statistics: Statistics) -> tuple[Result, ...]:
-        """Return the results of the chosen kicks."""
-        kicked = chosen & self._touched
-        errors = self._error[kicked]
-        middle = kicked & (self._distance >= 2.0) & (self._distance <= 6.0)
-        asked = np.abs(self._rolled[middle] / self._distance[middle] - 1.0)
-        worst = float(np.percentile(errors, 90)) if len(errors) else None
-        return (
-            statistics.rate(CONTACT, self._touched[chosen]),
-            statistics.rate(UPRIGHT_RATE, self._upright[kicked]),
-            statistics.rate(CORRIDOR_5, self.passed(CORRIDORS_M[-1], chosen)),
-            statistics.median(STOP_ERROR, errors),
-            Result(STOP_ERROR_90, worst, episodes=len(errors)),
-            statistics.median(DISTANCE_ERROR, asked),
-            statistics.rate(GOAL, self.scored(chosen)),
-            statistics.mean(POWER, self._rolled[kicked & self._power]),
-            statistics.mean(DISTANCE, self._rolled[kicked]),
-        )

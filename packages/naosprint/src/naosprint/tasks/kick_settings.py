@@ -1,0 +1,119 @@
+"""Settings of the task ``kick``."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field
+
+from naosprint.tasks.ball import BallSettings
+
+
+class KickSettings(BallSettings):
+    """Settings of the task ``kick``."""
+
+    ranges = (*BallSettings.ranges, ("distance_min_m", "distance_max_m"))
+
+    aligned_fraction: float = Field(
+        default=0.65,
+        ge=0.0,
+        le=1.0,
+        title="Aligned fraction",
+        description="Fraction of the episodes with an aim within 10 degrees, and a ball 0.45 to 0.9 m ahead and within "
+        "6 cm of a foot's line.",
+    )
+    aim_max_deg: float = Field(
+        default=30.0,
+        ge=0.0,
+        le=45.0,
+        title="Largest aim",
+        description="Largest angle between the robot's front and the commanded direction in the other episodes.",
+        json_schema_extra={"unit": "deg"},
+    )
+    rolling_fraction: float = Field(
+        default=0.1,
+        ge=0.0,
+        le=1.0,
+        title="Rolling fraction",
+        description="Fraction of the episodes with a rolling ball.",
+    )
+    ball_speed_max_mps: float = Field(
+        default=1.5,
+        ge=0.0,
+        le=1.5,
+        title="Fastest ball",
+        description="Largest speed of a rolling ball.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    distance_min_m: float = Field(
+        default=1.5,
+        ge=1.5,
+        le=10.0,
+        title="Shortest kick",
+        description="Lower end of the commanded distance.",
+        json_schema_extra={"unit": "m"},
+    )
+    distance_max_m: float = Field(
+        default=10.0,
+        ge=1.5,
+        le=10.0,
+        title="Longest kick",
+        description="Upper end of the commanded distance.",
+        json_schema_extra={"unit": "m"},
+    )
+    power_fraction: float = Field(
+        default=0.4,
+        ge=0.0,
+        le=1.0,
+        title="Power kicks",
+        description="Fraction of the kicks that are to go as far as possible; their commanded distance is 10 m.",
+    )
+    takeover_steps: int = Field(
+        default=6,
+        ge=0,
+        le=1000,
+        title="Takeover",
+        description="Steps from the perceived kick until the walker takes over.",
+        json_schema_extra={"unit": "steps"},
+    )
+    watch_steps: int = Field(
+        default=45,
+        ge=0,
+        le=1000,
+        title="Walker's steps",
+        description="Steps that the walker acts before an episode ends.",
+        json_schema_extra={"unit": "steps"},
+    )
+    approach_steps: int = Field(
+        default=150,
+        ge=10,
+        le=10_000,
+        title="Approach limit",
+        description="Steps within which the ball has to be kicked.",
+        json_schema_extra={"unit": "steps"},
+    )
+    whole_roll: bool = Field(
+        default=False,
+        title="Whole roll",
+        description="Episodes end when the ball has stopped and 3 s have passed, as in evaluations.",
+    )
+    place_weight: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=1000.0,
+        title="Placement weight",
+        description="Reward for a first touch with the ball before the foot, whose yaw is that of the aim.",
+    )
+    upright_weight: float = Field(
+        default=1.0, ge=0.0, le=1000.0, title="Upright weight", description="Reward for an episode that ends upright."
+    )
+    miss_penalty: float = Field(
+        default=1.0, ge=0.0, le=1000.0, title="Miss penalty", description="Penalty for an episode without a kick."
+    )
+    time_penalty: float = Field(
+        default=0.002, ge=0.0, le=1.0, title="Time penalty", description="Penalty per step before the first touch."
+    )
+
+    def for_evaluation(self) -> Self:
+        """Return the same settings without disturbances, and with episodes that last until the ball has stopped."""
+        return super().for_evaluation().model_copy(update={"whole_roll": True})
