@@ -51,7 +51,7 @@ RESULTS = HERE / "results.json"
 SEEDS = (0, 1, 2)
 STEPS = 10_000_000
 LONG_STEPS = 50_000_000
-SAC_STEPS = 120_000
+SAC_STEPS = 1_000_000
 SAC_PACKAGE = HERE.parents[1] / "tests" / "packages" / "naosprint-sac"
 EPISODES = 1000
 OTHER_ROBOTS = ("t1", "k1")
@@ -255,7 +255,11 @@ def sac(workdir: Path) -> dict[str, Any]:
         "n_steps": 8,
         "units": 128,
         "gradient_steps": 32,
-        "checkpoint_interval_steps": SAC_STEPS // 8,
+        "buffer_steps": 300_000,
+        "reward_scale": 10.0,
+        "fall_penalty_m": 0.5,
+        "ground_velocity": True,
+        "checkpoint_interval_steps": SAC_STEPS // 10,
     }
     spec = spec_of(algorithm="sac", total_steps=SAC_STEPS, **chosen, **ONE_CORE)
     return digest(trained(workdir, "sac", spec), spec, steps=SAC_STEPS)
@@ -449,30 +453,16 @@ def plots(results: dict[str, Any]) -> None:
     from matplotlib.figure import Figure
 
     palette = ("#1b8a6b", "#2c6fbb", "#8a6fb8")
-    listed, references = TASK.presentation.listed, TASK.presentation.references
+    references = TASK.presentation.references
     top, mean = TASK.presentation.headline[:2]
     with mpl.rc_context(figures.style()):
         if "seeds" in results:
-            figure = Figure(figsize=(9.0, 6.4), layout="constrained")
-            panels = figure.subplots(len(listed), 1, sharex=True)
             lines = [(f"fast, seed {run['seed']}", run, palette[i]) for i, run in enumerate(results["seeds"]["runs"])]
             if "paper" in results:
                 lines.append(("paper, seed 0", results["paper"], "#555c65"))
-            for label, run, colour in lines:
-                for axes, name in zip(panels, listed, strict=True):
-                    scale = figures.factor(METRICS[name])
-                    curve = run["training_curve"]
-                    at = np.array(curve["step"]) / 1e6
-                    axes.plot(at, scale * np.array(curve[name]), color=colour, lw=0.9, alpha=0.45)
-                    marks = [(point["step"] / 1e6, scale * point[name]) for point in run["curve"]]
-                    axes.plot(*zip(*marks, strict=True), "o-", ms=3.5, lw=1.5, color=colour, label=label)
-            for axes, name in zip(panels, listed, strict=True):
-                axes.set_ylabel(f"{METRICS[name].title.lower()}, {METRICS[name].unit}")
-                axes.set_ylim(0.0, None)
-            panels[0].legend(loc="lower right", fontsize=8.5)
-            panels[0].set_title("points: the deterministic policy; thin lines: training, exploring", fontsize=8.5)
-            panels[-1].set_xlabel("environment steps, millions")
-            _save(figure, "learning")
+            _curves(lines, "learning")
+        if "sac" in results:
+            _curves([("sac, seed 0", results["sac"], palette[1])], "sac")
         if "long" in results:
             run = results["long"]
             figure = Figure(figsize=(9.0, 4.0), layout="constrained")
@@ -489,6 +479,30 @@ def plots(results: dict[str, Any]) -> None:
             axes.set_xlabel("environment steps, millions")
             axes.legend(loc="lower right", fontsize=8.5)
             _save(figure, "long")
+
+
+def _curves(runs: Sequence[tuple[str, dict[str, Any], str]], name: str) -> None:
+    """Plot what lists of jobs show of some trainings, each with label and color, and evaluations on the way."""
+    from matplotlib.figure import Figure
+
+    listed = TASK.presentation.listed
+    figure = Figure(figsize=(9.0, 6.4), layout="constrained")
+    panels = figure.subplots(len(listed), 1, sharex=True)
+    for label, run, colour in runs:
+        for axes, metric in zip(panels, listed, strict=True):
+            scale = figures.factor(METRICS[metric])
+            curve = run["training_curve"]
+            at = np.array(curve["step"]) / 1e6
+            axes.plot(at, scale * np.array(curve[metric]), color=colour, lw=0.9, alpha=0.45)
+            marks = [(point["step"] / 1e6, scale * point[metric]) for point in run["curve"]]
+            axes.plot(*zip(*marks, strict=True), "o-", ms=3.5, lw=1.5, color=colour, label=label)
+    for axes, metric in zip(panels, listed, strict=True):
+        axes.set_ylabel(f"{METRICS[metric].title.lower()}, {METRICS[metric].unit}")
+        axes.set_ylim(0.0, None)
+    panels[0].legend(loc="lower right", fontsize=8.5)
+    panels[0].set_title("points: the deterministic policy; thin lines: training, exploring", fontsize=8.5)
+    panels[-1].set_xlabel("environment steps, millions")
+    _save(figure, name)
 
 
 def _save(figure: Any, name: str) -> None:

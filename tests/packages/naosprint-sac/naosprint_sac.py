@@ -15,16 +15,17 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import set_random_seed
 
-CLIP, MOMENTS = 10.0, ("mean", "var", "count")
-BUFFER = ("observations", "next_observations", "actions", "rewards", "dones")
+CLIP, RANGE, MOMENTS = 10.0, 0.3, ("mean", "var", "count")
+BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 ADAM = ("step", "exp_avg", "exp_avg_sq")
+FOUND = {"learning_rate": 5e-4, "gamma": 0.99, "n_steps": 5, "ent_coef": "auto_0.01"}  # by experiment
 
 
 class SACSettings(LearnerSettings):
     units: int = Field(default=256, ge=1, le=4096, title="Units", description="Units of each of two hidden layers.")
     gradient_steps: int = Field(default=64, ge=1, title="Gradient steps", description="Gradient steps per update.")
     buffer_steps: int = Field(default=100_000, ge=100, title="Buffer", description="Steps in the replay buffer.")
-    random_steps: int = Field(default=5000, ge=1, title="Random steps", description="Steps with random actions.")
+    random_steps: int = Field(default=10_000, ge=1, title="Random steps", description="Steps with random actions.")
 
 
 class SACLearner(Learner):
@@ -35,7 +36,7 @@ class SACLearner(Learner):
         self.steps = self.updates = 0
         width, n_actions = environment.n_observations, environment.n_actions
         self.model = model = stable_baselines3.SAC(
-            "MlpPolicy", None, buffer_size=self.settings.buffer_steps, gamma=0.98, target_entropy=-float(n_actions),
+            "MlpPolicy", None, buffer_size=self.settings.buffer_steps, target_entropy=-float(n_actions), **FOUND,
             policy_kwargs={"net_arch": [self.settings.units] * 2}, device="cpu", seed=spec.seed,
             _init_setup_model=False,
         )  # fmt: skip
@@ -56,18 +57,18 @@ class SACLearner(Learner):
                 return False
             seen = environment.observations.copy()
             if self.steps < self.settings.random_steps:
-                actions = np.random.uniform(-1.0, 1.0, (environment.n, environment.n_actions)).astype(np.float32)
+                actions = np.random.uniform(-RANGE, RANGE, (environment.n, environment.n_actions)).astype(np.float32)
             else:
                 with torch.no_grad():
                     actions = self.model.actor(torch.from_numpy(self.standardize(seen))).numpy()
             for group in environment.groups:
                 environment.step_async(actions[group], group)
             parts = [environment.step_wait(group) for group in environment.groups]
-            following, failed = environment.observations.copy(), np.zeros(environment.n)
+            following, ends = environment.observations.copy(), np.zeros((2, environment.n))
             for group, part in zip(environment.groups, parts, strict=True):
-                following[group.start + part.ended] = part.last_observations
-                failed[group.start + part.ended] = part.failed
-            self.rollout.append((seen, following, actions, np.concatenate([part.rewards for part in parts]), failed))
+                rows = group.start + part.ended
+                following[rows], ends[0, rows], ends[1, rows] = part.last_observations, 1.0, ~part.failed
+            self.rollout.append((seen, following, actions, np.concatenate([part.rewards for part in parts]), *ends))
         self.steps += environment.n * self.settings.n_steps
         return True
 
@@ -79,9 +80,9 @@ class SACLearner(Learner):
         random = self.steps <= self.settings.random_steps or self.updates == 0
         if random:
             self.moments.update(np.concatenate([seen for seen, *_ in self.rollout]))
-        for seen, following, *rest in self.rollout:
+        for seen, following, *rest, cut in self.rollout:
             pair = self.standardize(seen), self.standardize(following)
-            self.model.replay_buffer.add(*pair, *rest, [{}] * self.environment.n)
+            self.model.replay_buffer.add(*pair, *rest, [{"TimeLimit.truncated": truncated} for truncated in cut])
         self.updates += 1
         if random:
             return {}
@@ -142,9 +143,8 @@ class SACKind(LearnerKind):
             weights = take(state, f"{name}.weight", (sizes[i + 1], sizes[i]), np.float32)
             layers.append((weights, take(state, f"{name}.bias", (sizes[i + 1],), np.float32)))
         mean, variance = (take(state, f"moments.{name}", sizes[:1], np.float64) for name in MOMENTS[:2])
-        return NetworkPolicy(
-            mean, 1.0 / np.sqrt(variance + 1e-8), CLIP, tuple(layers), activation="relu", squashed=True
-        )
+        scale = 1.0 / np.sqrt(variance + 1e-8)
+        return NetworkPolicy(mean, scale, CLIP, tuple(layers), activation="relu", squashed=True)
 
 
 SAC = SACKind()
