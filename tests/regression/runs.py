@@ -183,10 +183,10 @@ def training(name: str) -> dict[str, Any]:
 
     spec = TrainingSpec.model_validate(
         {
-            "algorithm": {"preset": "fast" if name == "compiled" else name},
+            "algorithm": {"preset": "fast" if name == "compiled" else name, "compiled_update": name == "compiled"},
             "total_steps": TOTAL_STEPS,
             "seed": 0,
-            "runtime": {"simulator_threads": 1, "learner_threads": 1, "compiled_update": name == "compiled"},
+            "runtime": {"simulator_threads": 1, "learner_threads": 1},
         }
     )
     reporter = LastRow()

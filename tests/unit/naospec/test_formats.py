@@ -102,6 +102,18 @@ def test_stages_with_one_candidate_are_stages(count: int, tmp_path: Path) -> Non
         read_manifest(tmp_path)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_compiled_update_is_a_setting_of_ppo(compiled: bool) -> None:
+    """It changes the last digits of a result, so two specifications that differ in it have two digests."""
+    before = {"format": 2, "algorithm": {"name": "ppo", "n_envs": 32}, "runtime": {"compiled_update": compiled}}
+    spec = read_stored(TrainingSpec, before)
+    assert spec == TrainingSpec(algorithm={"n_envs": 32, "compiled_update": compiled})
+    assert (spec.digest() == TrainingSpec(algorithm={"n_envs": 32}).digest()) == compiled
+    with pytest.raises(ValidationError, match=r"write algorithm\.compiled_update") as refused:
+        TrainingSpec(runtime={"compiled_update": compiled})
+    assert refused.value.errors()[0]["loc"] == ("runtime", "compiled_update")
+
+
 def test_the_error_about_candidates_names_what_replaces_them() -> None:
     """In a file that a user writes."""
     with pytest.raises(ValidationError) as refused:
@@ -153,9 +165,10 @@ def test_a_number_that_is_none_names_the_field(number: Any) -> None:
 def test_a_checkpoint_of_the_format_before_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from naosprint.rl.checkpoint import CheckpointError, read_manifest
 
-    policy = next((ROOT / "packages/naopolicies/src").rglob("checkpoint.json"))
+    policy = next((ROOT / "packages/naopolicies/src").rglob("sprint-hour/checkpoint.json"))
     number = formats.CURRENT[Kind.CHECKPOINT]
-    document = {**json.loads(policy.read_text(encoding="utf-8")), "format": number}
+    document = json.loads(policy.read_text(encoding="utf-8"))
+    assert document["format"] == number
     expected = read_manifest(policy.parent)
     document["rounds"] = document.pop("updates")
     (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")

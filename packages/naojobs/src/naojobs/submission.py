@@ -329,7 +329,7 @@ def _with_parent(session: Session, request: JobRequest, owner: str, see_all: boo
         policy, version = policies.find(session, PolicyRecord.owner == owner, reference)
     except NotFoundError as error:
         if reference in naopolicies.names():
-            check_fit(request, TrainingSpec.model_validate(naopolicies.spec(reference)))
+            check_fit(request, read_stored(TrainingSpec, naopolicies.spec(reference)))
             return request
         known = ", ".join(naopolicies.names())
         raise InvalidError(f"{error}; bundled policies are {known}", "parent_policy") from None

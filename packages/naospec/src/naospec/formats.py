@@ -66,6 +66,22 @@ def _one_candidate(spec: Document) -> Document:
     return {**spec, "stages": one}
 
 
+def _compiled_update(spec: Document) -> Document:
+    """Convert a training specification: ``runtime.compiled_update``, which changes the last digits, is PPO's."""
+    runtime, algorithm = spec.get("runtime"), spec.get("algorithm", {})
+    if not isinstance(runtime, Mapping) or "compiled_update" not in runtime:
+        return spec
+    others = {name: value for name, value in runtime.items() if name != "compiled_update"}
+    if isinstance(algorithm, Mapping) and algorithm.get("name", "ppo") == "ppo":
+        algorithm = {**algorithm, "compiled_update": runtime["compiled_update"]}
+    return {**spec, "runtime": others, "algorithm": algorithm}
+
+
+def _version_3(spec: Document) -> Document:
+    """Convert a training specification of format 2."""
+    return _compiled_update(_one_candidate(spec))
+
+
 def _within(section: str, convert: Callable[[Document], Document]) -> Callable[[Document], Document]:
     """Return the conversion of a document that contains a training specification."""
 
@@ -78,11 +94,11 @@ def _within(section: str, convert: Callable[[Document], Document]) -> Callable[[
 
 CONVERSIONS: dict[tuple[Kind, int], Callable[[Document], Document]] = {
     (Kind.TRAINING, 1): _engine,
-    (Kind.TRAINING, 2): _one_candidate,
+    (Kind.TRAINING, 2): _version_3,
     (Kind.CHECKPOINT, 2): _within("spec", _engine),
-    (Kind.CHECKPOINT, 3): _within("spec", _one_candidate),
+    (Kind.CHECKPOINT, 3): _within("spec", _version_3),
     (Kind.RESULT, 2): _within("training", _engine),
-    (Kind.RESULT, 3): _within("training", _one_candidate),
+    (Kind.RESULT, 3): _within("training", _version_3),
 }
 """From each older format that can be read, the function that returns a document of the next one."""
 

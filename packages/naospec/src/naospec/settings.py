@@ -118,11 +118,6 @@ class RuntimeSettings(BaseModel):
     learner_threads: int = Field(
         default=2, ge=1, le=256, title="Learner threads", description="Threads of the learner."
     )
-    compiled_update: bool = Field(
-        default=True,
-        title="Compiled update",
-        description="Compute actions and gradients by compiled kernels, not by PyTorch; the last digits differ.",
-    )
     checkpoint_interval_steps: int = Field(
         default=1_000_000,
         ge=1,

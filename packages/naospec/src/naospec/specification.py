@@ -16,7 +16,7 @@ from naospec.abilities import lacking
 from naospec.fields import DEFAULTS, TrainingFields
 from naospec.flat import settings
 from naospec.sections import PluginSection
-from naospec.settings import TaskSettings
+from naospec.settings import RuntimeSettings, TaskSettings
 from naospec.written import WrittenSpec
 
 if TYPE_CHECKING:
@@ -64,6 +64,8 @@ class TrainingSpec(_Specification, TrainingFields):
             return data
         written = _of_this_format(formats.Kind.TRAINING, data)
         _refuse_misplaced(cls.__name__, written, cls.model_fields.keys())
+        if isinstance(runtime := written.get("runtime"), dict):
+            _refuse_misplaced(cls.__name__, runtime, RuntimeSettings.model_fields.keys(), ("runtime",))
         return WrittenSpec(written).resolved()
 
     @model_validator(mode="after")
@@ -326,7 +328,9 @@ def _of_this_format(kind: formats.Kind, data: dict[str, Any]) -> dict[str, Any]:
     return formats.current(kind, data) if "format" in data else dict(data)
 
 
-def _refuse_misplaced(title: str, data: dict[str, Any], fields: AbstractSet[str]) -> None:
+def _refuse_misplaced(
+    title: str, data: dict[str, Any], fields: AbstractSet[str], section: tuple[str, ...] = ()
+) -> None:
     """Raise ValidationError for settings outside their section, naming their place."""
     if data.keys() <= fields:
         return
@@ -334,7 +338,7 @@ def _refuse_misplaced(title: str, data: dict[str, Any], fields: AbstractSet[str]
     errors: list[InitErrorDetails] = [
         {
             "type": PydanticCustomError("misplaced", "write {place}", {"place": places[name]}),
-            "loc": (name,),
+            "loc": (*section, name),
             "input": value,
         }
         for name, value in data.items()

@@ -193,7 +193,7 @@ class PPO(Learner):
         self._losses: Losses | KernelGradients = Losses(self.policy, settings)
         self._actor: Forward | TorchForward = TorchForward(actor)
         self._critic: Forward | TorchForward = TorchForward(critic)
-        if spec.runtime.compiled_update:
+        if settings.compiled_update:
             seen = len(environment.environment.observer.names)
             threads = NativeHandle.threads_of(environment.environment.simulator)
             concurrent = spec.runtime.learner_threads > 1

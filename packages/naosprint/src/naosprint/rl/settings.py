@@ -192,6 +192,11 @@ class PPOSettings(LearnerSettings):
         "critic their value.",
         json_schema_extra={"unit": "steps", "needs": DEMONSTRATIONS},
     )
+    compiled_update: bool = Field(
+        default=True,
+        title="Compiled update",
+        description="Compute actions and gradients by compiled kernels, not by PyTorch; the last digits differ.",
+    )
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import naopolicies
 import numpy as np
-from naospec import TrainingSpec, plugins
+from naospec import TrainingSpec, plugins, read_stored
 
 if TYPE_CHECKING:
     from naosprint.arrays import FloatArray, IntArray
@@ -35,7 +35,7 @@ class FrozenPolicy:
     def __init__(self, name: str) -> None:
         folder, manifest = naopolicies.folder(name), naopolicies.checkpoint(name)
         self.name = name
-        self.spec = TrainingSpec.model_validate(manifest["spec"]).stage_specs[-1]
+        self.spec = read_stored(TrainingSpec, manifest["spec"]).stage_specs[-1]
         self.observations: tuple[str, ...] = tuple(manifest["observations"])
         kind = plugins.load(plugins.LEARNERS, self.spec.algorithm.name)
         with np.load(folder / naopolicies.WEIGHTS) as arrays:
