@@ -28,7 +28,7 @@ from naosim.mujoco.program import RCSSSERVERMJ
 from naosim.mujoco.shapes import body_poses
 from naosim.mujoco.world import library, world_of
 from naosim.simulator import STEP_S
-from naospec import TrainingSpec
+from naospec import TrainingSpec, read_stored
 from naosprint.analysis.film import write_gif, write_mp4
 from naosprint.analysis.replay import Replay
 from naosprint.export import policy_arrays
@@ -86,7 +86,7 @@ def main() -> int:
             play += ["--targets", str(options.targets), "--seed", str(options.seed)]
             code = subprocess.run(play, check=False).returncode
         if options.film and record.exists():
-            replay = replay_of(np.load(record), TrainingSpec.model_validate(naopolicies.spec(options.policy)))
+            replay = replay_of(np.load(record), read_stored(TrainingSpec, naopolicies.spec(options.policy)))
             options.film.mkdir(parents=True, exist_ok=True)
             frames = min(len(replay.positions), round(FILM_S / STEP_S))
             write_mp4(replay, options.film / "player.mp4", frames=range(frames))
