@@ -51,7 +51,7 @@ RESULTS = HERE / "results.json"
 SEEDS = (0, 1, 2)
 STEPS = 10_000_000
 LONG_STEPS = 50_000_000
-SAC_STEPS = 1_000_000
+SAC_STEPS = 500_000
 SAC_PACKAGE = HERE.parents[1] / "tests" / "packages" / "naosprint-sac"
 EPISODES = 1000
 OTHER_ROBOTS = ("t1", "k1")
@@ -259,7 +259,7 @@ def sac(workdir: Path) -> dict[str, Any]:
         "reward_scale": 10.0,
         "fall_penalty_m": 0.5,
         "ground_velocity": True,
-        "checkpoint_interval_steps": SAC_STEPS // 10,
+        "checkpoint_interval_steps": SAC_STEPS // 5,
     }
     spec = spec_of(algorithm="sac", total_steps=SAC_STEPS, **chosen, **ONE_CORE)
     return digest(trained(workdir, "sac", spec), spec, steps=SAC_STEPS)
