@@ -10,6 +10,7 @@ a game cannot be faster than all three allow on one processor, or than the serve
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tempfile
 import time
@@ -30,29 +31,33 @@ class Sample:
     Attributes:
         played_s: seconds of play.
         time_s: wall-clock time.
-        server_s, agents_s, recorder_s: processor time of the server, of all agents and of this program.
+        used_s: processor time of each process by its number, with what it is: server, agents or recorder.
     """
 
     played_s: float
     time_s: float
-    server_s: float
-    agents_s: float
-    recorder_s: float
+    used_s: dict[int, tuple[str, float]]
 
+    @classmethod
+    def now(cls, played_s: float) -> Sample:
+        """Return the state now."""
+        used_s = {}
+        for process in [psutil.Process(), *psutil.Process().children(recursive=True)]:
+            try:
+                kind = "server" if "rcsssmj" in " ".join(process.cmdline()) else "agents"
+                used_s[process.pid] = (kind, sum(process.cpu_times()[:2]))
+            except psutil.Error:
+                continue  # it has ended
+        used_s[os.getpid()] = ("recorder", used_s[os.getpid()][1])
+        return cls(played_s, time.monotonic(), used_s)
 
-def sample(played_s: float) -> Sample:
-    """Return the state now."""
-    server_s = agents_s = 0.0
-    for process in psutil.Process().children(recursive=True):
-        try:
-            used = sum(process.cpu_times()[:2])
-            if "rcsssmj" in " ".join(process.cmdline()):
-                server_s += used
-            else:
-                agents_s += used
-        except psutil.Error:
-            continue  # it has ended
-    return Sample(played_s, time.monotonic(), server_s, agents_s, sum(psutil.Process().cpu_times()[:2]))
+    def since(self, first: Sample, kind: str) -> float:
+        """Return the processor time of the processes of a kind since an earlier sample, seconds."""
+        return sum(
+            used_s - first.used_s[pid][1]
+            for pid, (what, used_s) in self.used_s.items()
+            if what == kind and pid in first.used_s
+        )
 
 
 def main() -> int:
@@ -68,16 +73,17 @@ def main() -> int:
 
             def note(moment: Moment, samples: list[Sample] = samples) -> None:
                 # the first half from the kick-off on; a sample reads the state of all processes, which takes a while
-                if 0.0 < moment.share <= 0.5 and (not samples or moment.share > 0.4):
-                    samples.append(sample(2.0 * options.seconds * moment.share))
+                if 0.0 < moment.share <= 0.5 and (not samples or time.monotonic() - samples[-1].time_s > 3.0):
+                    samples.append(Sample.now(2.0 * options.seconds * moment.share))
 
             play_game((team, team), ("a", "b"), 0, GameSettings(players, options.seconds), on_moment=note)
+            if len(samples) < 2:
+                sys.exit(f"{players} v {players}: too short to measure; play more --seconds")
             first, last = samples[0], samples[-1]
             played_s = last.played_s - first.played_s
             cycles = CYCLES_S * played_s
             server, agents, recorder = (
-                1000.0 * (getattr(last, name) - getattr(first, name)) / cycles
-                for name in ("server_s", "agents_s", "recorder_s")
+                1000.0 * last.since(first, kind) / cycles for kind in ("server", "agents", "recorder")
             )
             print(
                 f"{players} v {players}: {played_s / (last.time_s - first.time_s):.2f} s of match per second; "
