@@ -228,6 +228,53 @@ def test_a_resumed_environment_is_disturbed_alike() -> None:
     np.testing.assert_array_equal(resumed.observations, environment.observations)
 
 
+GROWING: dict[str, Any] = {
+    "push_mps": 1.0, "push_steps": 1, "sensor_noise": 1.0, "mass_variation": 0.3, "friction_min": 0.4,
+    "friction_max": 0.5, "stiffness_min": 0.2, "extra_delay_max": 2, "disturbance_growth": 0.25,
+}  # fmt: skip
+
+
+def after_episodes(environment: Environment, count: int, *, failed: bool) -> None:
+    """Begin ``count`` episodes more, each after one with this end."""
+    rows = np.arange(environment.n)
+    for _ in range(count):
+        environment.world.steps[:], environment.failed[:] = 1, failed
+        environment.restart(rows, np.zeros_like(rows))
+
+
+@pytest.mark.parametrize("engine", ["fast", "mujoco"])
+def test_disturbances_grow_with_success_and_shrink_with_failures(engine: Engine) -> None:
+    growing, ideal = environment_of(engine=engine, **GROWING), environment_of(engine=engine)
+    assert growing.disturbances.strength == 0.0 and ideal.disturbances.strength is None
+    np.testing.assert_array_equal(run(growing, 12), run(ideal, 12))
+    after_episodes(growing, 3, failed=False)
+    assert growing.disturbances.strength == 0.75
+    after_episodes(growing, 2, failed=True)
+    assert growing.disturbances.strength == 0.25
+    after_episodes(growing, 40, failed=False)
+    assert growing.disturbances.strength == 1.0
+    masses = [growing.simulator.batch._models[row].body_mass for row in range(4)]  # type: ignore[attr-defined]
+    assert np.ptp(np.array(masses), axis=0).max() > 0.0
+    assert (np.abs(growing.disturbances._world[:, 0] - 0.45) <= 0.05).all()
+    assert len(set(growing.disturbances._stiffness[:, 0].tolist())) == 4
+    assert np.abs(run(growing, 12) - run(ideal, 12)).max() > 0.01
+
+
+def test_growing_disturbances_continue_after_a_checkpoint() -> None:
+    environment = environment_of(engine="fast", **GROWING)
+    after_episodes(environment, 20, failed=False)
+    after_episodes(environment, 1, failed=True)
+    run(environment, 3)
+    state = {name: array.copy() for name, array in environment.state().items()}
+    resumed = environment_of(engine="fast", **GROWING)
+    resumed.load_state(state)
+    for _ in range(2):
+        np.testing.assert_array_equal(run(resumed, 10), run(environment, 10))
+        np.testing.assert_array_equal(resumed.observations, environment.observations)
+        for each in (environment, resumed):
+            after_episodes(each, 17, failed=False)
+
+
 def test_evaluations_leave_disturbances_out_unless_they_set_them() -> None:
     trained = TrainingSpec.model_validate(
         {"task": {"name": "sprint1", "push_mps": 0.5, "drift_penalty": 2.0}, "robot": "t1", "total_steps": 1_000_000}

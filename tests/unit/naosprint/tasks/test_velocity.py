@@ -13,7 +13,14 @@ from naosim.robots.booster import K1, T1
 from naosim.simulator import CONTACT_N, STEP_S
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
-from naosprint.tasks.velocity import FLIGHT_SPEED_MPS, OFFSET_LIMIT_M, TRACKING_SCALE, Velocity, VelocitySettings
+from naosprint.tasks.velocity import (
+    FLIGHT_SPEED_MPS,
+    OFFSET_LIMIT_M,
+    SETTLING_S,
+    TRACKING_SCALE,
+    Velocity,
+    VelocitySettings,
+)
 from pydantic import ValidationError
 
 from ..boosters import action_mirror, mirrored_pair, symmetric_environment  # noqa: TID252
@@ -275,6 +282,36 @@ def test_an_evaluation_reports_errors_drift_falls_and_flight() -> None:
     assert found["flight_share"].value == pytest.approx(0.5 / 200)
     assert found["flight_rate"].value == 0.5
     assert set(Velocity.presentation.headline) <= found.keys()
+
+
+def test_an_evaluation_reports_settled_errors_and_stops() -> None:
+    """Robot 0 stops in time, 1 does not, 2 falls before, 3 is commanded something else before, 4 was slow."""
+    samples, stop = 301, 100
+    command = np.zeros((5, samples, 3))
+    command[:, :stop, 0] = 1.5
+    command[4, :stop, 0] = 0.5
+    velocity = np.zeros((5, samples, 3))
+    velocity[:, :, 0] = 0.25  # an error of 0.25 m/s while it stands ...
+    velocity[:, :stop, 0] = command[:, :stop, 0] - 0.5  # ... and of 0.5 m/s before
+    velocity[0, stop : stop + 40, 0] = 1.5
+    velocity[1, stop : stop + 70, 0] = 1.5
+    command[3, stop + 60 :, 1] = 0.2
+    traces = zip(velocity, command, [False, False, True, False, False], strict=True)
+    episodes = [
+        episodes_of(v[None, :end], c[None, :end], fallen=[fell], flight=np.zeros((1, end), dtype=np.bool_))
+        for (v, c, fell), end in zip(traces, (samples, samples, stop + 60, samples, samples), strict=True)
+    ]
+    task = environment_of(1).task
+    found = [
+        {result.metric.name: result for result in task.summarize(each, Statistics(0.95, 100, 0))[0]}
+        for each in episodes
+    ]
+    assert [each["stop_rate"].value for each in found] == [1.0, 0.0, 0.0, None, None]
+    late = round(SETTLING_S / STEP_S)
+    before, after = stop - late, samples - stop - late
+    expected = np.sqrt((before * 0.25 + after * 0.0625) / (before + after))
+    assert found[0]["rmse_settled_mps"].value == pytest.approx(expected)
+    assert found[2]["rmse_settled_mps"].value == pytest.approx(np.sqrt((before * 0.25 + 10 * 0.0625) / (before + 10)))
 
 
 def test_an_episode_that_falls_within_two_seconds_has_no_error_after_them() -> None:

@@ -20,6 +20,15 @@ PROGRESS: tuple[Metric, ...] = (
 )
 """Metrics of a training's progress."""
 
+STRENGTH = Metric(
+    "disturbance_strength",
+    "Strength of disturbances",
+    "%",
+    "Mean strength that disturbances have grown to (task.disturbance_growth); only trainings in which they grow.",
+    0,
+    kind="rate",
+)
+
 PACE: tuple[Metric, ...] = (
     Metric(
         "steps_per_s", "Steps per second", "1/s", "Environment steps a second in this update, learning included.", 0
@@ -65,4 +74,4 @@ def columns(spec: TrainingSpec) -> tuple[Metric, ...]:
     """Return the columns of a training's metrics, in order."""
     kind = learner_kind(spec.algorithm.name)
     live = [metric for metric in tasks.get(spec.task.name).metrics if metric.live]
-    return (*PROGRESS, *EPISODE_METRICS, *live, *kind.metrics, *ENGINES, *PACE)
+    return (*PROGRESS, *EPISODE_METRICS, *live, STRENGTH, *kind.metrics, *ENGINES, *PACE)

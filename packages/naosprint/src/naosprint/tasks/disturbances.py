@@ -18,13 +18,16 @@ from naosprint.terms import source
 from naosprint.terms.randomness import normal, uniform
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from naosim.simulator import Simulator
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 _STREAM = 0xD157
+
+_EPISODES_PER_WORLD = 16
+"""Episodes after which bodies and ground are drawn anew while disturbances grow: a draw takes milliseconds."""
 
 NOISE = {
     "joint_angles": 0.5,
@@ -153,6 +156,15 @@ class DisturbanceSettings(TaskSettings):
         title="Undisturbed fraction",
         description="Fraction of the robots without disturbances, so that a policy stays fast in the ideal world.",
     )
+    disturbance_growth: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        title="Growth of disturbances",
+        description="A robot's disturbances begin without strength; every episode that does not fail adds this "
+        "fraction of their full strength, and every one that fails takes it away. Bodies and ground are drawn anew "
+        "every 16 episodes. 0: full strength from the start. The extra delay's lower end and gravity do not grow.",
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -221,13 +233,22 @@ class Disturbances:
         self._world: FloatArray = np.ones((n, 2))  # factors of friction and gravity
         self._stiffness: FloatArray = np.ones((n, 1))  # factor of that of contacts
         self._acts: FloatArray = np.full((n, 1), float(self._least))  # the delay as an observation
+        self._grows = settings.disturbance_growth > 0.0
+        self._strength: FloatArray = np.full(n, 0.0 if self._grows else 1.0)
+        self._drawn_at: FloatArray = np.stack(
+            [np.zeros(n), self._strength], axis=1
+        )  # episode and strength of the world
         self.arrays: dict[str, AnyArray] = {}
         if settings.push_mps or self._noise:
             self.arrays["count"] = self._count
         if self._most:
             self.arrays["waiting"] = self._waiting
         if self._drawn:
-            self.arrays.update(delay=self._delay, episode=self._episode, acts=self._acts)
+            self.arrays.update(delay=self._delay, acts=self._acts)
+        if self._drawn or self._grows:
+            self.arrays["episode"] = self._episode
+        if self._grows:
+            self.arrays.update(strength=self._strength, drawn_at=self._drawn_at)
         self._softens = (settings.stiffness_min, settings.stiffness_max) != (1.0, 1.0)
         self._varies = bool(
             settings.mass_variation
@@ -237,12 +258,12 @@ class Disturbances:
             or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1)
         )
         if self._varies:
-            rng = np.random.default_rng([_STREAM, seed])
-            frictions = rng.uniform(settings.friction_min, settings.friction_max, n)
-            gravities, rows = np.linspace(settings.gravity_min, 1.0, n), np.flatnonzero(self._disturbed)
-            self._world[rows] = np.stack([frictions, gravities], axis=1)[rows]
-            self._draw_stiffness(rows, rng)
-            simulator.vary([self._variation(row) for row in rows.tolist()], rng, rows)
+            rng, rows = np.random.default_rng([_STREAM, seed]), np.flatnonzero(self._disturbed)
+            self._world[rows, 1] = np.linspace(settings.gravity_min, 1.0, n)[rows]
+            if not self._grows:
+                self._world[rows, 0] = rng.uniform(settings.friction_min, settings.friction_max, n)[rows]
+                self._draw_stiffness(rows, rng)
+                simulator.vary([self._variation(row) for row in rows.tolist()], rng, rows)
         if settings.push_mps:
             simulator.push(np.zeros((n, 2)), slice(0, n))
 
@@ -270,12 +291,12 @@ class Disturbances:
 
     def _variation(self, row: int) -> Variation:
         """Return how a robot differs from the nominal one; an undisturbed one does not."""
-        settings, disturbed = self._settings, bool(self._disturbed[row])
+        settings, strength = self._settings, float(self._drawn_at[row, 1] * self._disturbed[row])
         friction, gravity = self._world[row].tolist()
         return Variation(
-            masses=settings.mass_variation if disturbed else 0.0,
-            gains=settings.gain_variation if disturbed else 0.0,
-            centre_m=settings.centre_of_mass_m if disturbed else 0.0,
+            masses=settings.mass_variation * strength,
+            gains=settings.gain_variation * strength,
+            centre_m=settings.centre_of_mass_m * strength,
             friction=friction,
             gravity=gravity,
             stiffness=float(self._stiffness[row, 0]),
@@ -287,16 +308,61 @@ class Disturbances:
         chance = uniform(self._seed + _STREAM - 1, streams, np.zeros_like(streams), 1)[:, 0]
         return np.asarray(chance >= self._settings.undisturbed_fraction)
 
+    def grow(self, rows: IntArray, ran: BoolArray, failed: BoolArray) -> None:
+        """Change how strong the robots ``rows`` are disturbed, and draw the world of those that are due.
+
+        Args:
+            rows: (k,) robots whose next episodes begin.
+            ran: (k,) whether they have run an episode.
+            failed: (k,) whether it failed.
+        """
+        if not self._grows:
+            return
+        growth, episodes = self._settings.disturbance_growth, self._episode[rows]
+        change = np.where(ran, np.where(failed, -growth, growth), 0.0)
+        self._strength[rows] = np.clip(self._strength[rows] + change, 0.0, 1.0)
+        due = rows[(episodes + self._streams[rows]) % _EPISODES_PER_WORLD == 0]
+        self._drawn_at[due] = np.stack([self._episode[due], self._strength[due]], axis=1)
+        self._draw_worlds(due)
+
+    def _draw_worlds(self, rows: IntArray) -> None:
+        """Draw bodies and ground of the robots ``rows`` as they were due."""
+        if not self._varies:
+            return
+        settings = self._settings
+        for row in rows[self._disturbed[rows]].tolist():
+            episode, strength = self._drawn_at[row].tolist()
+            rng = np.random.default_rng([_STREAM, self._seed, int(self._streams[row]), int(episode)])
+            friction = float(rng.uniform(settings.friction_min, settings.friction_max))
+            self._world[row, 0] = 1.0 + strength * (friction - 1.0)
+            self._draw_stiffness(np.array([row]), rng)
+            self._stiffness[row] **= strength
+            self._simulator.vary([self._variation(row)], rng, np.array([row]))
+
+    def restore(self, arrays: Mapping[str, AnyArray]) -> None:
+        """Continue from the ``arrays`` of a checkpoint."""
+        for name, array in self.arrays.items():
+            array[:] = arrays[name]
+        if self._grows:
+            self._draw_worlds(np.flatnonzero(self._drawn_at[:, 1]))
+
     def begin(self, rows: IntArray) -> None:
         """Discard the commands of earlier episodes of the robots ``rows``, and draw the delay of the new ones."""
         if len(self._waiting):
             self._waiting[:, rows] = self._simulator.robot.nominal
-        if self._drawn:
+        if self._drawn or self._grows:
             self._episode[rows] += 1
+        if self._drawn:
             part = uniform(self._seed + _STREAM - 2, self._streams[rows], self._episode[rows], 1)[:, 0]
-            drawn = self._least + (part * (self._most + 1 - self._least)).astype(np.int64)
+            most = self._least + self._strength[rows] * (self._most - self._least)
+            drawn = self._least + (part * (most + 1 - self._least)).astype(np.int64)
             self._delay[rows] = np.where(self._disturbed[rows], drawn, 0)
             self._acts[rows, 0] = self._delay[rows]
+
+    @property
+    def strength(self) -> float | None:
+        """Mean strength of the disturbances from 0 to 1, if it grows."""
+        return float(self._strength[self._disturbed].mean()) if self._grows and self._disturbed.any() else None
 
     def critic_blocks(self) -> Sequence[ObservationBlock]:
         """Return what disturbs the robots, for critics: factors of friction, gravity and stiffness, and the delay."""
@@ -328,10 +394,10 @@ class Disturbances:
         if settings.push_mps:
             chance, turn, part = uniform(self._seed + _STREAM, streams, counts, 3).T
             pushed = disturbed & (chance < 1.0 / settings.push_steps)
-            direction, size = np.pi * (2.0 * turn - 1.0), settings.push_mps * part * pushed
+            direction, size = np.pi * (2.0 * turn - 1.0), settings.push_mps * part * pushed * self._strength[rows]
             if pushed.any():
                 self._simulator.push(np.stack([size * np.cos(direction), size * np.sin(direction)], axis=1), rows)
         for number, (name, deviation) in enumerate(self._noise.items(), 1):
             values = self._simulator.perceptors[name][rows]
             noise = normal(self._seed + _STREAM + number, streams[disturbed], counts[disturbed], values.shape[1])
-            values[disturbed] += deviation * noise
+            values[disturbed] += deviation * self._strength[rows][disturbed, None] * noise

@@ -209,6 +209,8 @@ class Environment:
                 array[rows] = self._new[name][rows]
             self.disturbances.draw_by_episode(rows, episodes)
             self.simulator.draw_by_episode(rows, episodes)
+        else:
+            self.disturbances.grow(rows, world.steps[rows] > 0, self.failed[rows])
         self.simulator.start(rows, starts, following)
         self.task.place(rows)
         self.disturbances.begin(rows)
@@ -340,8 +342,7 @@ class Environment:
         self.observer.load_state({key[len(prefix) :]: state[key] for key in state if key.startswith(prefix)})
         for name, array in self.task.arrays.items():
             array[:] = state[f"task.{name}"]
-        for name, array in self.disturbances.arrays.items():
-            array[:] = state[f"disturbances.{name}"]
+        self.disturbances.restore({name: state[f"disturbances.{name}"] for name in self.disturbances.arrays})
         self.world.steps[:] = state["steps"]
         self.world.actions[:] = state["actions"]
         self.world.previous_actions[:] = state["previous_actions"]

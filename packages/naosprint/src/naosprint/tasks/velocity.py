@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -42,7 +43,7 @@ from naosprint.terms import (
 from naosprint.terms.geometry import along
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from naosim.robots import Robot
 
@@ -60,6 +61,14 @@ OFFSET_LIMIT_M = 0.5
 
 SETTLED_S = 2.0
 """Time after which speed and error are measured in evaluations, seconds."""
+
+SETTLING_S = 1.0
+"""Time after a new command from which the settled error is measured in evaluations, seconds."""
+
+STOP_S, STOP_FROM_MPS, STOPPED_MPS = 1.5, 1.0, 0.3
+"""Time within which a robot has to stop, s; command from which it has to, m/s; and speed of one that has, m/s."""
+
+_STOP_MEAN_S = 0.2  # the speed at that time is a mean over these seconds before it
 
 ERROR = Metric(
     "velocity_error_mps", "Velocity error", "m/s", "Mean distance between commanded and actual velocity.", 2, "lower"
@@ -84,6 +93,26 @@ RMSE_WHOLE = Metric(
     3,
     "lower",
     live=False,
+)
+RMSE_SETTLED = Metric(
+    "rmse_settled_mps",
+    "Settled RMSE",
+    "m/s",
+    "Root mean square error of the velocity from one second after each new command on.",
+    3,
+    "lower",
+    live=False,
+)
+STOP_RATE = Metric(
+    "stop_rate",
+    "Stops within 1.5 s",
+    "%",
+    "Fraction of the commands to stand, after a forward command of 1 m/s or more, that bring the robot below 0.3 m/s "
+    "within 1.5 s; a fall is none.",
+    1,
+    "higher",
+    "rate",
+    False,
 )
 MEDIAN_SPEED = Metric(
     "median_forward_mps",
@@ -143,6 +172,38 @@ FLIGHT_RATE = Metric(
     "rate",
     False,
 )
+
+
+def _changes(trace: FloatArray) -> IntArray:
+    """Return the samples of a (T, 8) trace with which a new command begins, the start among them."""
+    return np.concatenate(([0], 1 + np.flatnonzero((trace[1:, 3:6] != trace[:-1, 3:6]).any(axis=1))))
+
+
+def _settled_errors(trace: FloatArray) -> FloatArray:
+    """Return the (k, 2) velocity errors of a (T, 8) trace from ``SETTLING_S`` after each new command on."""
+    changes, samples = _changes(trace), np.arange(len(trace))
+    since = samples - changes[np.searchsorted(changes, samples, side="right") - 1]
+    late = trace[since >= round(SETTLING_S / STEP_S)]
+    return np.asarray(late[:, :2] - late[:, 3:5])
+
+
+def _stops(trace: FloatArray, fallen: bool) -> Iterator[bool]:
+    """Yield for each command to stand of a (T, 8) trace that had to stop the robot whether it did.
+
+    Left out are commands that the next one, or the episode's end without a fall, follows within ``STOP_S``.
+    """
+    changes = _changes(trace)
+    steps, mean = round(STOP_S / STEP_S), round(_STOP_MEAN_S / STEP_S)
+    for number in range(1, len(changes)):
+        first, is_last = changes[number], number == len(changes) - 1
+        end = len(trace) if is_last else changes[number + 1]
+        if trace[first, 3:6].any() or trace[first - 1, 3] < STOP_FROM_MPS:
+            continue
+        if end - first >= steps:
+            velocity = trace[first + steps - mean : first + steps, :2].mean(axis=0)
+            yield bool(np.hypot(*velocity) < STOPPED_MPS)
+        elif is_last and fallen:
+            yield False
 
 
 class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings):
@@ -279,6 +340,8 @@ class Velocity(Task[VelocitySettings]):
         UPRIGHT,
         FLIGHT,
         FLIGHT_RATE,
+        RMSE_SETTLED,
+        STOP_RATE,
     )
     ends = (FALL,)
     trace = (
@@ -467,6 +530,7 @@ class Velocity(Task[VelocitySettings]):
             array: FloatArray = np.array(values, dtype=np.float64)
             return np.asarray(array[np.isfinite(array)])
 
+        stops = chain.from_iterable(map(_stops, episodes.trace, episodes.ends["fallen"].tolist()))
         errors = [trace[1:, :2] - trace[1:, 3:5] for trace in episodes.trace]
         late = [trace[settled:] for trace in episodes.trace]
         flight = np.array([trace[1:, 7].any() for trace in episodes.trace])
@@ -489,5 +553,9 @@ class Velocity(Task[VelocitySettings]):
             statistics.rate(FALL_RATE, episodes.ends["fallen"]),
             statistics.mean(FLIGHT, np.array([flags[1:].mean() for flags in episodes.airborne])),
             statistics.rate(FLIGHT_RATE, flight),
+            statistics.mean(
+                RMSE_SETTLED, known([root_mean_square(_settled_errors(trace)) for trace in episodes.trace])
+            ),
+            statistics.rate(STOP_RATE, np.array(list(stops), dtype=np.bool_)),
         )
         return results, ()
