@@ -9,6 +9,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests import forking
 
@@ -20,6 +21,10 @@ if "avx512dq" in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
 
 
 forking.install()
+
+# how long an example takes says nothing on a machine that does other work, too
+settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy")
 
 
 @pytest.hookimpl(wrapper=True)

@@ -81,7 +81,6 @@ def attempt_all(caller: httpx.Client, strategy: SearchStrategy[Case]) -> int:
     @seed(FUZZ_SEED)
     @settings(
         max_examples=EXAMPLES,
-        deadline=None,
         database=None,
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from naosim.robots import nao_model
 from naosim.simspark import _core, protocol
@@ -396,7 +396,7 @@ def test_no_stream_of_bytes_brings_the_server_down() -> None:
     with serving(seed=1, max_agents=4) as server:
         player = Player(server.agent_port, "Team", 11)
 
-        @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+        @settings(max_examples=120)
         @given(STREAMS, st.booleans())
         def attack(stream: list[bytes], monitor: bool) -> None:
             wire = Wire(server.monitor_port if monitor else server.agent_port)
