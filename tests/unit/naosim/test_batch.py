@@ -280,7 +280,7 @@ def test_a_broken_environment_is_named_and_disturbs_nobody() -> None:
     sim.step(np.zeros((3, JOINTS)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     data=st.data(),
     n=st.integers(1, 9),
@@ -302,7 +302,7 @@ def test_fuzzed_states_and_speeds_never_crash(data: st.DataObject, n: int, robot
             assert "environment" in str(error)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.one_of(
         st.none(),
