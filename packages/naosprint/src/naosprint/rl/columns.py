@@ -17,17 +17,16 @@ PROGRESS: tuple[Metric, ...] = (
     Metric("time_s", "Training time", "s", "Time spent training, over all attempts.", 0),
     Metric("episodes", "Episodes", "", "Episodes finished since the start of the job.", 0),
     Metric("stage", "Stage", "", "Number of the stage, from 1; only trainings with several stages.", 0),
+    Metric(
+        "disturbance_strength",
+        "Strength of disturbances",
+        "%",
+        "Mean strength that disturbances have grown to (task.disturbance_growth); only trainings in which they grow.",
+        0,
+        kind="rate",
+    ),
 )
 """Metrics of a training's progress."""
-
-STRENGTH = Metric(
-    "disturbance_strength",
-    "Strength of disturbances",
-    "%",
-    "Mean strength that disturbances have grown to (task.disturbance_growth); only trainings in which they grow.",
-    0,
-    kind="rate",
-)
 
 PACE: tuple[Metric, ...] = (
     Metric(
@@ -74,4 +73,4 @@ def columns(spec: TrainingSpec) -> tuple[Metric, ...]:
     """Return the columns of a training's metrics, in order."""
     kind = learner_kind(spec.algorithm.name)
     live = [metric for metric in tasks.get(spec.task.name).metrics if metric.live]
-    return (*PROGRESS, *EPISODE_METRICS, *live, STRENGTH, *kind.metrics, *ENGINES, *PACE)
+    return (*PROGRESS, *EPISODE_METRICS, *live, *kind.metrics, *ENGINES, *PACE)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _STREAM = 0xD157
 
 _EPISODES_PER_WORLD = 16
-"""Episodes after which bodies and ground are drawn anew while disturbances grow: a draw takes milliseconds."""
+"""Episodes after which bodies and ground are drawn again while disturbances grow: a draw takes milliseconds."""
 
 NOISE = {
     "joint_angles": 0.5,
@@ -162,7 +162,7 @@ class DisturbanceSettings(TaskSettings):
         le=1.0,
         title="Growth of disturbances",
         description="A robot's disturbances begin without strength; every episode that does not fail adds this "
-        "fraction of their full strength, and every one that fails takes it away. Bodies and ground are drawn anew "
+        "fraction of their full strength, and every one that fails takes it away. Bodies and ground are drawn again "
         "every 16 episodes. 0: full strength from the start. The extra delay's lower end and gravity do not grow.",
     )
 
