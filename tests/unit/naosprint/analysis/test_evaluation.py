@@ -170,7 +170,7 @@ def test_document_describes_itself(checkpoint: Path) -> None:
         assert described <= result.keys()
         assert result["title"] and result["description"]
     assert set(summary["headline"]) <= set(by_name(summary))
-    assert (summary["format"], summary["robot"], summary["simulator"]) == (3, "nao-0", "embedded")
+    assert (summary["format"], summary["robot"], summary["simulator"]) == (4, "nao-0", "embedded")
     assert (summary["task"]["name"], summary["task"]["version"]) == ("sprint2", 1)
     assert summary["task"]["settings"]["min_height_m"] == 0.27
 
