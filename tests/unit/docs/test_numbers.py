@@ -14,8 +14,8 @@ from naoctl.cli import build_app
 from naoctl.commands.artifacts import REPORT_PAGE
 from naoctl.commands.submit import make_body
 from naoctl.errors import ExitCode, InvalidInput
-from naoctl.jobfile import load_job_file
 from naospec import TrainingSpec
+from naospec.job_files import load_job_file
 from naosprint_api.schemas import JobCreate
 from typer.testing import CliRunner
 

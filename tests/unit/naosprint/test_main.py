@@ -33,6 +33,28 @@ def test_help_lists_every_setting(capsys: pytest.CaptureFixture[str]) -> None:
             assert f"--{name.replace('_', '-')} VALUE" in text
 
 
+def test_train_takes_the_job_file_of_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Options override it, and what cannot be trained without the service is refused."""
+    job = tmp_path / "job.yaml"
+    job.write_text(
+        "name: night\nevaluation: null\n"
+        "spec:\n  task: sprint2\n  seed: 4\n"
+        "  algorithm: {n_envs: 8, n_steps: 32, batch_size: 64, n_epochs: 1, hidden_sizes: [8]}\n",
+        encoding="utf-8",
+    )
+    assert main(["train", str(tmp_path / "run"), "--spec", str(job), "--total-steps", "256", "--seed", "5"]) == 0
+    spec = read_manifest(Path(capsys.readouterr().out.split()[2])).spec
+    assert (spec.task.name, spec.seed, spec.algorithm.hidden_sizes, spec.total_steps) == ("sprint2", 5, (8,), 256)
+    for content, words in (
+        ("seed: 4\n", "seed: no such field of a job"),
+        ("parent_job_id: job_1\n", "parent_job_id: jobs are at the service"),
+        ("spec:\n  algorithm: {gamma: 7}\n", "--gamma: "),
+    ):
+        job.write_text(content, encoding="utf-8")
+        assert main(["train", str(tmp_path / "other"), "--spec", str(job)]) != 0
+        assert words in capsys.readouterr().err
+
+
 def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Train, evaluate, report and export."""
     work = tmp_path / "run"

@@ -19,6 +19,7 @@ from naosim.simulator import STEP_S, ServerLostError
 from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
 from naospec.files import named_errors
 from naospec.flat import nest, settings
+from naospec.job_files import JOB_FIELDS, load_job_file
 from pydantic import ValidationError
 from pydantic_core import PydanticUndefined
 
@@ -71,7 +72,14 @@ def _parser() -> argparse.ArgumentParser:
         "train", help="train a policy", description="Train a policy; Ctrl-C saves a checkpoint and ends the training."
     )
     train.add_argument("workdir", type=Path, help="directory for checkpoints and metrics.jsonl")
-    train.add_argument("--recipe", choices=recipes.names(), help="start from this recipe's specification")
+    begin = train.add_mutually_exclusive_group()
+    begin.add_argument("--recipe", choices=recipes.names(), help="start from this recipe's specification")
+    begin.add_argument(
+        "--spec",
+        type=Path,
+        metavar="FILE",
+        help="start from this job file of `naoctl submit`; options override it",
+    )
     train.add_argument("--resume", type=Path, metavar="CHECKPOINT", help="continue this training")
     train.add_argument(
         "--from-policy", metavar="CHECKPOINT", help="start from the weights of this checkpoint or bundled policy"
@@ -277,13 +285,24 @@ def _stop_on_signals() -> threading.Event:
 # --- commands -----------------------------------------------------------------------------------------------------
 
 
+def _job_of(path: Path) -> dict[str, Any]:
+    """Return the content of a job file that can be trained without the service. Raises ValueError."""
+    job = load_job_file(path)
+    for field in job:
+        if field not in JOB_FIELDS:
+            raise ValueError(f"{path}: {field}: no such field of a job; write settings of the training below `spec:`")
+    if job.get("parent_job_id") is not None:
+        raise ValueError(f"{path}: parent_job_id: jobs are at the service; download its checkpoint, use --from-policy")
+    return job
+
+
 def _train(options: argparse.Namespace) -> int:
     given = _given(options, {name: setting.info for name, setting in settings().items()})
     base: Mapping[str, Any] = {}
     policy = options.from_policy
-    if options.recipe is not None:
-        job = recipes.job(options.recipe)
-        base = job["spec"]
+    if options.recipe is not None or options.spec is not None:
+        job = recipes.job(options.recipe) if options.spec is None else _job_of(options.spec)
+        base = job.get("spec") or {}
         if options.resume is None:
             policy = policy or job.get("parent_policy")
     if options.resume is not None:

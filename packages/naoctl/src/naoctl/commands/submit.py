@@ -15,6 +15,7 @@ import naopolicies
 import typer
 from naospec import EvaluationSpec, TrainingSpec, flat, recipes
 from naospec.flat import Setting
+from naospec.job_files import JOB_FIELDS, JobFileError, load_job_file
 from pydantic import TypeAdapter
 
 from naoctl.client import Client
@@ -24,7 +25,6 @@ from naoctl.context import NEWEST, Context, JsonFlag, complete_job, completions,
 from naoctl.descriptions import section_name
 from naoctl.errors import InvalidInput, Unreachable, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
-from naoctl.jobfile import load_job_file
 from naoctl.render import SHORT_ID
 from naoctl.specflags import (
     build,
@@ -36,18 +36,6 @@ from naoctl.specflags import (
     with_parameters,
 )
 
-JOB_FIELDS = (
-    "name",
-    "tags",
-    "spec",
-    "evaluation",
-    "priority",
-    "not_before",
-    "max_attempts",
-    "parent_job_id",
-    "parent_checkpoint_id",
-    "parent_policy",
-)
 EVAL_PREFIX = "eval_"
 EVALUATION_SETTINGS = settings_of(EvaluationSpec, leave_out=["task"])
 """Settings of an evaluation that have a flag."""
@@ -244,13 +232,21 @@ def make_job(
     if file and recipe:
         raise InvalidInput("--recipe and FILE both describe the job", fix="Leave one of them out.")
     body = make_body(
-        load_job_file(file) if file else read_recipe(recipe) if recipe else {},
+        read_job_file(file) if file else read_recipe(recipe) if recipe else {},
         spec_flags,
         evaluation_flags,
         evaluate=evaluate,
         where=f"{file}: " if file else "",
     )
     return body | {field: value for field, value in fields.items() if value is not None}
+
+
+def read_job_file(path: Path) -> dict[str, Any]:
+    """Return the content of a job file. Raises InvalidInput."""
+    try:
+        return load_job_file(path)
+    except JobFileError as error:
+        raise InvalidInput(error.message, fix=error.fix) from None
 
 
 def read_recipe(name: str) -> dict[str, Any]:

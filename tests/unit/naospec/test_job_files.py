@@ -4,8 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
-from naoctl.errors import ExitCode, InvalidInput
-from naoctl.jobfile import MAX_BYTES, load_job_file
+from naospec.job_files import MAX_BYTES, JobFileError, load_job_file
 
 YAML = "name: night\ntags: [a, b]\nspec:\n  preset: paper\n  learning_rate: 1e-4\n"
 TOML = 'name = "night"\ntags = ["a", "b"]\n[spec]\npreset = "paper"\nlearning_rate = 1e-4\n'
@@ -44,10 +43,10 @@ def test_the_formats_say_the_same(tmp_path: Path, ending: str, text: str) -> Non
 def test_what_is_wrong_is_refused_in_words(tmp_path: Path, name: str, text: str, words: str) -> None:
     path = tmp_path / name
     path.write_text(text)
-    with pytest.raises(InvalidInput) as caught:
+    with pytest.raises(JobFileError) as caught:
         load_job_file(path)
-    assert words in str(caught.value)
-    assert caught.value.code is ExitCode.USAGE
+    assert words in caught.value.message
+    assert str(caught.value) == f"{caught.value.message}. {caught.value.fix}"
 
 
 def test_a_file_that_grows_when_it_is_read_is_refused(tmp_path: Path) -> None:
@@ -55,22 +54,22 @@ def test_a_file_that_grows_when_it_is_read_is_refused(tmp_path: Path) -> None:
     rows = ['a0: &a0 ["x", "x"]']
     rows += [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40)]
     path.write_text("\n".join(rows))
-    with pytest.raises(InvalidInput, match="aliases"):
+    with pytest.raises(JobFileError, match="aliases"):
         load_job_file(path)
 
 
 def test_files_that_are_too_long_or_unreadable_are_refused(tmp_path: Path) -> None:
     long = tmp_path / "long.yaml"
     long.write_bytes(b"#" * (MAX_BYTES + 1))
-    with pytest.raises(InvalidInput, match="longer than"):
+    with pytest.raises(JobFileError, match="longer than"):
         load_job_file(long)
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InvalidInput, match="UTF-8"):
+    with pytest.raises(JobFileError, match="UTF-8"):
         load_job_file(binary)
-    with pytest.raises(InvalidInput, match="No such file"):
+    with pytest.raises(JobFileError, match="No such file"):
         load_job_file(tmp_path / "missing.yaml")
-    with pytest.raises(InvalidInput, match="directory"):
+    with pytest.raises(JobFileError, match="directory"):
         load_job_file(tmp_path)
 
 
@@ -83,12 +82,12 @@ def test_files_that_take_long_to_read_are_refused(tmp_path: Path) -> None:
         "a={" + "b." * 200 + "b=1}",
     ):
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(InvalidInput, match="line 1: a key of more than 64 parts"):
+        with pytest.raises(JobFileError, match="line 1: a key of more than 64 parts"):
             load_job_file(path)
     path.write_text("a=" + "[" * 50_000, encoding="utf-8")
-    with pytest.raises(InvalidInput, match="too deeply nested"):
+    with pytest.raises(JobFileError, match="too deeply nested"):
         load_job_file(path)
     pipe = tmp_path / "pipe.yaml"
     os.mkfifo(pipe)
-    with pytest.raises(InvalidInput, match="not a regular file"):
+    with pytest.raises(JobFileError, match="not a regular file"):
         load_job_file(pipe)

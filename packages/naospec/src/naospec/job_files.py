@@ -10,15 +10,36 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from naospec.files import open_regular
 
-from naoctl.errors import InvalidInput
+from naospec.files import open_regular
 
 MAX_BYTES = 256 * 1024
 """Maximum size of a job file in bytes."""
 MAX_DEPTH = 16
 """Maximum nesting of a job file."""
 _MAX_DOTS = 64
+JOB_FIELDS = (
+    "name",
+    "tags",
+    "spec",
+    "evaluation",
+    "priority",
+    "not_before",
+    "max_attempts",
+    "parent_job_id",
+    "parent_checkpoint_id",
+    "parent_policy",
+)
+"""Fields that a job file may have."""
+
+
+class JobFileError(ValueError):
+    """Job file that cannot be read; `fix` is what to do about it."""
+
+    def __init__(self, message: str, *, fix: str) -> None:
+        super().__init__(f"{message}. {fix}")
+        self.message = message
+        self.fix = fix
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -49,18 +70,18 @@ def load_job_file(path: Path) -> dict[str, Any]:
         The file's mapping, not validated.
 
     Raises:
-        InvalidInput: with file, line if known, and what is wrong.
+        JobFileError: with file, line if known, and what is wrong.
     """
     try:
         with open_regular(path) as file:
             raw = file.read(MAX_BYTES + 1)
         text = raw.decode("utf-8")
     except UnicodeDecodeError:
-        raise InvalidInput(f"{path} is not UTF-8 text", fix="Save it as UTF-8.") from None
+        raise JobFileError(f"{path} is not UTF-8 text", fix="Save it as UTF-8.") from None
     except OSError as error:
-        raise InvalidInput(f"Cannot read {path}: {error.strerror}", fix="Check the path.") from None
+        raise JobFileError(f"Cannot read {path}: {error.strerror}", fix="Check the path.") from None
     if len(raw) > MAX_BYTES:
-        raise InvalidInput(f"{path} is longer than {MAX_BYTES // 1024} kB", fix="Use a shorter file.")
+        raise JobFileError(f"{path} is longer than {MAX_BYTES // 1024} kB", fix="Use a shorter file.")
     readers: dict[str, Callable[[str], Any]] = {
         ".yaml": _from_yaml,
         ".yml": _from_yaml,
@@ -69,19 +90,19 @@ def load_job_file(path: Path) -> dict[str, Any]:
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise InvalidInput(f"{path} has no known suffix", fix=f"Use one of {', '.join(sorted(readers))}.")
+        raise JobFileError(f"{path} has no known suffix", fix=f"Use one of {', '.join(sorted(readers))}.")
     try:
         data = reader(text)
     except yaml.MarkedYAMLError as error:
         line = f" line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise InvalidInput(f"{path}{line}: {error.problem}", fix="Correct the file.") from None
+        raise JobFileError(f"{path}{line}: {error.problem}", fix="Correct the file.") from None
     except (yaml.YAMLError, tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         reason = "too deeply nested" if isinstance(error, RecursionError) else str(error).splitlines()[0]
-        raise InvalidInput(f"{path}: {reason}", fix="Correct the file.") from None
+        raise JobFileError(f"{path}: {reason}", fix="Correct the file.") from None
     if not isinstance(data, dict):
-        raise InvalidInput(f"{path} has no fields", fix="Write `spec:` and the training's fields below it.")
+        raise JobFileError(f"{path} has no fields", fix="Write `spec:` and the training's fields below it.")
     if _depth(data) > MAX_DEPTH:
-        raise InvalidInput(f"{path} is nested too deeply", fix="Reduce the nesting.")
+        raise JobFileError(f"{path} is nested too deeply", fix="Reduce the nesting.")
     return data
 
 
