@@ -76,7 +76,7 @@ class TrainingFields(BaseModel):
         default=None,
         validate_default=True,
         title="Robot",
-        description="The robot.",
+        description="Which robot learns, with its settings.",
         json_schema_extra={"default": {"name": DEFAULTS["robot"]}},
     )
     simulator: Annotated[SimulatorSettings, PluginSection(plugins.SIMULATORS, SimulatorSettings)] = Field(

@@ -56,7 +56,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a ball for a robot that does not know its position": (
         {"robot": {"name": "t1", "onboard_sensing": True}, "task": "kick"},
-        "robot.onboard_sensing: a robot that does not know its position cannot follow the ball's; leave it out",
+        "robot: with these settings t1 does not know its position and cannot follow the ball's; use settings with "
+        "which it does, such as onboard_sensing=false",
     ),
     "a joint that the robot lacks": (
         {"robot": {"name": "k1", "kp": {"waist": 60}}},

@@ -149,14 +149,16 @@ class BallTask(Task[Settings], Generic[Settings]):
     def resolve(cls, parameters: Settings, robot: Robot) -> Settings:  # type: ignore[misc] # a task gets its own
         """Return the settings with walker, minimum height, and at least the earlier steps that the walker observes."""
         super().resolve(parameters, robot)
-        if getattr(robot.parameters, "onboard_sensing", False):
+        defaults = robot_defaults(robot)
+        if not defaults.knows_position:
             raise ValueError(
-                "robot.onboard_sensing: a robot that does not know its position cannot follow the ball's; leave it out"
+                f"robot: with these settings {robot.name} does not know its position and cannot follow the ball's; use "
+                "settings with which it does, such as onboard_sensing=false"
             )
         walker = chosen(parameters.walker, "task.walker", robot.name, Velocity.name)
         remembered = max(parameters.history_steps, bundled(robot.name, Velocity.name)[walker])
         settings = parameters.model_copy(update={"walker": walker, "history_steps": remembered})
-        return with_min_height(settings, robot, robot_defaults(robot).fall_height_m)
+        return with_min_height(settings, robot, defaults.fall_height_m)
 
     def __init__(self, parameters: Settings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)

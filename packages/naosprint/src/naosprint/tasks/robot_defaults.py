@@ -32,6 +32,8 @@ class RobotDefaults:
     """The same for tasks that require an upright run."""
     privileged: tuple[str, ...] = ()
     """Names of the blocks that only critics observe, because the robot does not perceive them."""
+    knows_position: bool = True
+    """Whether the robot is told where it is; tasks with a ball need that."""
     motions: str | None = None
     """Name of its scripted motions in ``naosprint/tasks/motion_data``; None without any."""
 
@@ -48,19 +50,22 @@ _BOOSTER_HEIGHTS_M = {"T1": (0.45, 0.57), "K1": (0.37, 0.47)}
 def _nao(robot: Robot) -> RobotDefaults:
     """Return the paper's observations and heights; an onboard robot estimates its yaw and height."""
     names = _NAO
-    if getattr(robot.parameters, "onboard_sensing", False):
+    onboard = bool(getattr(robot.parameters, "onboard_sensing", False))
+    if onboard:
         names = tuple("onboard_pose" if name == "yaw" else name for name in _NAO if name != "height")
     if getattr(robot.parameters, "ground_velocity", False):
         names = (*names, "ground_velocity")
-    return RobotDefaults(names, 0.27, 0.33)
+    return RobotDefaults(names, 0.27, 0.33, knows_position=not onboard)
 
 
 def _booster(robot: Robot) -> RobotDefaults:
     """Return what T1 and K1 perceive, and heights and motions of the robot's model."""
     model = robot.data["model"]
-    hidden = _BOOSTER_WORLD if getattr(robot.parameters, "onboard_sensing", False) else ()
+    onboard = bool(getattr(robot.parameters, "onboard_sensing", False))
+    hidden = _BOOSTER_WORLD if onboard else ()
     perceived = tuple(name for name in _BOOSTER if name not in hidden)
-    return RobotDefaults(perceived, *_BOOSTER_HEIGHTS_M[model], hidden, motions=model.lower())
+    heights = _BOOSTER_HEIGHTS_M[model]
+    return RobotDefaults(perceived, *heights, hidden, knows_position=not onboard, motions=model.lower())
 
 
 _FAMILIES: Mapping[str, Callable[[Robot], RobotDefaults]] = {"nao": _nao, "booster": _booster}
