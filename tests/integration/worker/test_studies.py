@@ -29,7 +29,7 @@ from sqlalchemy import select, text
 
 from tests.integration.attempts import claim_work
 from tests.integration.conftest import as_role
-from tests.integration.writes import append_metrics
+from tests.integration.writes import append_metrics, record_checkpoint
 
 from .conftest import ROLLOUT, TINY, Broker, Service
 
@@ -370,3 +370,109 @@ def test_a_study_continues_without_the_tables_of_optuna(service: Service, conduc
     later.advance(study.id)
     settled = {trial.number: trial for trial in told(service, study.id)}
     assert settled[2].values == [pytest.approx(40.0)]
+
+
+def test_a_finished_study_that_is_extended_learns_from_its_first_trials(service: Service, conductor: Conductor) -> None:
+    study = start(service, trials=2, parallel=2, objectives=[{"metric": "reward"}])
+
+    def finish(expected: int) -> None:
+        conductor.advance(study.id)
+        rows = [row for row in study_of(service, study.id)[1] if row.state is TrialState.RUNNING]
+        assert len(rows) == expected
+        for row in rows:
+            lease = take(service, str(row.job_id))
+            append_metrics(service.sessions, lease, [{"step": ROLLOUT, "reward": float(row.number)}])
+            outcomes.transition(service.sessions, lease, WorkState.SUCCEEDED)
+        conductor.advance(study.id)
+
+    finish(2)
+    assert study_of(service, study.id)[0].state is StudyState.FINISHED
+    with pytest.raises(InvalidError, match="has started 2 trials"):
+        studies.extend_study(service.sessions, study.id, 2)
+    extended = studies.extend_study(service.sessions, study.id, 4)
+    assert (extended.state, extended.finished_at) == (StudyState.RUNNING, None)
+    finish(2)
+    study, rows = study_of(service, study.id)
+    assert study.state is StudyState.FINISHED
+    assert [trial.values for trial in rows] == [[0.0], [1.0], [2.0], [3.0]]
+    assert len(told(service, study.id)) == 4
+
+
+def test_a_failed_study_that_is_extended_gets_a_new_chance(service: Service, conductor: Conductor) -> None:
+    study = start(service, trials=studies.MAX_FAILURES_IN_A_ROW, parallel=studies.MAX_FAILURES_IN_A_ROW)
+    for _ in range(3):
+        conductor.advance(study.id)
+        for row in study_of(service, study.id)[1]:
+            if row.job_id and service.job(row.job_id).state not in ENDED:
+                requests.request_cancel(service.sessions, Job, row.job_id)
+    ended = study_of(service, study.id)[0].state
+    assert ended in (StudyState.FAILED, StudyState.FINISHED)
+    studies.extend_study(service.sessions, study.id, 7)
+    assert conductor.advance(study.id)
+    assert study_of(service, study.id)[0].state is StudyState.RUNNING
+
+
+def test_trials_start_from_a_policy(service: Service, conductor: Conductor) -> None:
+    space = {name: SPACE[name] for name in ("learning_rate", "n_epochs")}
+    spec = TrainingSpec.model_validate(nest({**TINY, "total_steps": ROLLOUT * 20}))
+    search = SearchSpec.model_validate({"space": space, "trials": 2})
+    request = StudyRequest(JobRequest(spec, parent_policy="sprint"), search)
+    with pytest.raises(InvalidError, match="hidden_sizes") as caught:
+        studies.submit_study(service.sessions, request, owner="tester")
+    assert caught.value.field == "spec.algorithm.hidden_sizes"
+    parent = service.submit(announce=False, evaluate=False, total_steps=ROLLOUT)
+    with pytest.raises(InvalidError, match="no checkpoint yet"):
+        studies.submit_study(
+            service.sessions, StudyRequest(JobRequest(spec, parent_job_id=parent), search), owner="tester"
+        )
+    manifest = {"files": [{"name": "policy.npz", "size": 1, "sha256": "0" * 64}]}
+    checkpoint = record_checkpoint(
+        service.sessions, take(service, parent), step=ROLLOUT, key="jobs/parent/1", manifest=manifest
+    )
+    with pytest.raises(InvalidError, match="hidden_sizes"):
+        studies.submit_study(
+            service.sessions,
+            StudyRequest(JobRequest(spec, parent_job_id=parent), SearchSpec.model_validate({"space": SPACE})),
+            owner="tester",
+        )
+    study, _ = studies.submit_study(
+        service.sessions, StudyRequest(JobRequest(spec, parent_job_id=parent), search), owner="tester"
+    )
+    conductor.advance(study.id)
+    for row in study_of(service, study.id)[1]:
+        job = service.job(str(row.job_id))
+        assert (job.parent_job_id, job.parent_checkpoint_id, job.needs_policy) == (parent, checkpoint, True)
+
+
+def test_trials_run_elsewhere(service: Service, conductor: Conductor) -> None:
+    """The best of what is reported counts, and Optuna learns from it."""
+    objectives = [{"metric": "score", "direction": "maximize"}]
+    study = start(service, trials=3, parallel=2, objectives=objectives, elsewhere=True)
+    with pytest.raises(ConflictError, match="no trial waits"):
+        studies.ask(service.sessions, study.id)
+    conductor.advance(study.id)
+    first, job = studies.ask(service.sessions, study.id)
+    assert job.spec.algorithm.n_epochs == first.params["n_epochs"]  # type: ignore[attr-defined]
+    second, _ = studies.ask(service.sessions, study.id)
+    with pytest.raises(ConflictError, match="no trial waits"):
+        studies.ask(service.sessions, study.id)
+    with pytest.raises(InvalidError, match="expected 1 values"):
+        studies.tell(service.sessions, study.id, first.number, values=[1.0, 2.0])
+    for _ in range(2):  # a repeated report changes nothing
+        studies.tell(service.sessions, study.id, first.number, values=[1.5])
+    with pytest.raises(ConflictError, match="reported already"):
+        studies.tell(service.sessions, study.id, first.number, values=[2.5])
+    studies.tell(service.sessions, study.id, second.number, error="the machine burned")
+    conductor.advance(study.id)
+    third, _ = studies.ask(service.sessions, study.id)
+    studies.tell(service.sessions, study.id, third.number, values=[0.5])
+    conductor.advance(study.id)
+    study, rows = study_of(service, study.id)
+    assert study.state is StudyState.FINISHED
+    assert [(trial.state, trial.values, trial.error) for trial in rows] == [
+        (TrialState.COMPLETE, [1.5], None),
+        (TrialState.FAILED, None, "the machine burned"),
+        (TrialState.COMPLETE, [0.5], None),
+    ]
+    assert studies.pareto_front(SearchSpec.model_validate(study.spec), rows) == [0]
+    assert [trial.values for trial in told(service, study.id)] == [[1.5], None, [0.5]]

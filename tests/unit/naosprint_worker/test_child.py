@@ -72,7 +72,7 @@ def test_child_leads_its_own_session(tmp_path: Path, ready: Path) -> None:
     grandchild = announced_pid(tmp_path)
     assert os.getsid(child.pid) == child.pid == os.getsid(grandchild)
     assert os.getsid(0) != child.pid
-    assert child.resident_bytes() > psutil.Process(child.pid).memory_info().rss // 2
+    assert child.usage()[0] > psutil.Process(child.pid).memory_info().rss // 2
     child.kill()
     assert child.wait(20) == -signal.SIGKILL
     assert wait_gone(grandchild)
@@ -109,7 +109,7 @@ def test_stopping_a_child_that_is_gone_is_harmless(tmp_path: Path) -> None:
     assert child.wait(20) == 0
     child.terminate()
     child.kill()
-    assert child.resident_bytes() == 0
+    assert child.usage() == (0, 0.0)
 
 
 PARENT = """

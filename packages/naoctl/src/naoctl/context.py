@@ -101,6 +101,30 @@ def find_job(client: Client, reference: str) -> dict[str, Any]:
     return matches[0]
 
 
+def find_listed(client: Client, path: str, kind: str, reference: str) -> dict[str, Any]:
+    """Return a study or a match with its details, by its id, the end of it, its name, or ``last`` for the newest.
+
+    Args:
+        client: connection to the service.
+        path: list of the service, such as ``/studies``.
+        kind: noun, which is also the beginning of ids and the command whose ``list`` shows all.
+        reference: what the user typed.
+
+    Raises:
+        CliError: if there is none.
+    """
+    found: dict[str, Any]
+    if len(reference) == len(kind) + 27 and reference.startswith(f"{kind}_"):
+        found = client.get(f"{path}/{reference}")
+        return found
+    for item in client.pages(path, limit=1000):
+        ends = len(reference) >= SHORT_ID and item["id"].endswith(reference)
+        if reference == NEWEST or ends or item.get("name") == reference:
+            found = client.get(f"{path}/{item['id']}")
+            return found
+    raise CliError(f"There is no {kind} {reference!r}", fix=f"`naoctl {kind} list` shows all.", code=ExitCode.NOT_FOUND)
+
+
 def _is_id(text: str) -> bool:
     return len(text) == 30 and text.startswith("job_") and text[4:].isalnum()
 

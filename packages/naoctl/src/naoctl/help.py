@@ -25,7 +25,7 @@ GROUPS = {
     ),
     "Play": ("match", "team", "league"),
     "Run the service on this machine": ("demo", "up", "down", "doctor"),
-    "Use and administer a service": ("login", "logout", "workers", "token", "webhook", "version"),
+    "Use and administer a service": ("login", "logout", "workers", "usage", "token", "webhook", "version"),
 }
 """Commands by what they are for, in the order of ``naoctl --help``."""
 

@@ -323,6 +323,8 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
     ]
     if job.get("parent_job_id"):
         rows.append(("Parent", job["parent_job_id"]))
+    if software := software_text(job.get("software") or {}):
+        rows.append(("Software", cell(software)))
     if job.get("group_id"):
         rows.append(("Group", job["group_id"]))
     if result := shown_result(job):
@@ -339,6 +341,15 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
     if job.get("error"):
         rows.append(("Error", Text(plain(job["error"]), style="red")))
     return pairs(rows)
+
+
+def software_text(software: Mapping[str, str]) -> str:
+    """Return in one line what a training ran with; empty before its first attempt."""
+    names = [name for name in ("naosprint", "python", "torch", "numpy", "mujoco") if name in software]
+    commit = software.get("commit", "")
+    state = " with changed files" if commit.endswith("+") else ""
+    parts = [f"{name} {software[name]}" for name in names] + ([f"commit {commit[:12]}{state}"] if commit else [])
+    return ", ".join(parts)
 
 
 def usage_text(row: Mapping[str, Any]) -> str:

@@ -109,6 +109,9 @@ def waiting_reasons(session: Session, work: Iterable[Work], workers: Sequence[Wo
 def _reason(work: Work, workers: Sequence[Worker]) -> str | None:
     if not workers:
         return "no worker is running"
+    workers = [worker for worker in workers if worker.drained_at is None]
+    if not workers:
+        return "all workers are drained"
     if any(_capabilities(worker).meets(work) for worker in workers):
         return None
     if isinstance(work, Match):

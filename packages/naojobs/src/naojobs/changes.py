@@ -32,6 +32,8 @@ def change(work: AnyWork, target: WorkState) -> None:
     if target not in LEASED:
         if isinstance(work, Match):
             work.live = None
+        if isinstance(work, Job):
+            work.yields_to = None
         work.lease_owner = work.lease_generation = None
         work.lease_expires_at = None
         work.stalled_since = None

@@ -47,6 +47,12 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         "checkpoint": EventKind("A checkpoint is in the store.", ("checkpoint_id", "step")),
         "pause_requested": EventKind("A user requested a pause; the worker saves a checkpoint and stops."),
         "priority": EventKind("A user changed the job's priority.", ("priority",)),
+        "requeue_requested": EventKind(
+            "The worker saves a checkpoint and requeues the job: urgent work waits, or the worker is drained.", ("for",)
+        ),
+        "software_changed": EventKind(
+            "This attempt runs with other versions of packages than the one before.", ("before",)
+        ),
         "paused": EventKind("The job is paused.", ("reason", "failures")),
         "cancel_requested": EventKind("A user requested the end of the job; its worker stops."),
         "cancelled": EventKind("The job has ended at a user's request.", ("reason", "failures")),

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias, cast
 import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validation_words
 from pydantic import ValidationError
-from sqlalchemy import ColumnElement, ScalarSelect, and_, func, or_, select, update
+from sqlalchemy import ColumnElement, Row, ScalarSelect, and_, false, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
@@ -32,6 +32,7 @@ from naojobs.models import (
     Match,
     MatchGame,
     TeamRecord,
+    Worker,
     WorkKind,
     generation,
     lease_time,
@@ -124,6 +125,8 @@ class Requests:
 
     state: WorkState
     cancel: bool
+    requeue: bool = False
+    """Whether a training is to write a checkpoint and wait again, for other work or another worker."""
 
 
 def claim_next(
@@ -136,11 +139,13 @@ def claim_next(
 ) -> Claim | None:
     """Claim the work of highest priority, the oldest first, that `worker` can run.
 
-    Several workers may look at once: each skips the rows that another is claiming.
+    Several workers may look at once: each skips the rows that another is claiming. A drained worker claims nothing.
     """
     models = tuple(models)
     while True:
         with sessions.begin() as session:
+            if session.scalar(select(Worker.drained_at).where(Worker.id == worker)) is not None:
+                return None
             found: list[AnyWork] = []
             for model in models:
                 first = (
@@ -294,21 +299,30 @@ def heartbeat(sessions: Sessions, lease: Lease, *, lease_s: float = DEFAULT_LEAS
             update(model)
             .where(held_by(lease))
             .values(heartbeat_at=func.now(), lease_expires_at=_lease_end(lease_s))
-            .returning(model.state, model.cancel_requested),
+            .returning(*_requested(model)),
         ).one_or_none()
-    if row is None:
-        raise lost(lease)
-    return Requests(row.state, cancel=row.cancel_requested)
+    return _requests(lease, row)
 
 
 def read_requests(sessions: Sessions, lease: Lease) -> Requests:
     """Return the users' requests without renewing `lease`. Raises LeaseLostError."""
     model = WORK[lease.kind]
     with one_statement(sessions) as session:
-        row = session.execute(select(model.state, model.cancel_requested).where(held_by(lease))).one_or_none()
+        row = session.execute(select(*_requested(model)).where(held_by(lease))).one_or_none()
+    return _requests(lease, row)
+
+
+def _requested(model: type[AnyWork]) -> tuple[ColumnElement[Any], ...]:
+    """Return the columns of `Requests`."""
+    requeue = Job.yields_to.is_not(None) if model is Job else false()
+    return model.state, model.cancel_requested, requeue  # type: ignore[return-value]
+
+
+def _requests(lease: Lease, row: Row[Any] | None) -> Requests:
     if row is None:
         raise lost(lease)
-    return Requests(row.state, cancel=row.cancel_requested)
+    state, cancel, requeue = row
+    return Requests(state, cancel=cancel, requeue=requeue)
 
 
 def held_by(lease: Lease) -> ColumnElement[bool]:

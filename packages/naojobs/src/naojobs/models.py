@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from datetime import datetime, timedelta
+from datetime import date, datetime, timedelta
 from enum import StrEnum
 from typing import Any, ClassVar, TypeAlias
 
@@ -11,6 +11,7 @@ from sqlalchemy import (
     BigInteger,
     CheckConstraint,
     ColumnElement,
+    Date,
     DateTime,
     Double,
     Enum,
@@ -51,6 +52,7 @@ class Base(DeclarativeBase):
         },
     )
     type_annotation_map: ClassVar[dict[Any, Any]] = {
+        date: Date,
         datetime: DateTime(timezone=True),
         dict[str, Any]: JSONB,
         list[str]: ARRAY(Text),
@@ -167,6 +169,10 @@ class Job(Work, Base):
     """
     pruned: Mapped[str | None]
     """Why a study ended it early; null if none did."""
+    yields_to: Mapped[str | None] = mapped_column(String(200))
+    """What its worker was asked to requeue it for: the id of waiting work, or its own worker's if that is drained."""
+    software: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
+    """Versions by package of the last attempt, with `python` and, if it is known, the `commit` of the source."""
     group_id: Mapped[str | None] = mapped_column(String(64), index=True)
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
     idempotency_digest: Mapped[str | None] = mapped_column(String(64))
@@ -438,6 +444,8 @@ class Study(Base):
     error: Mapped[str | None]
     importance: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
     """Importance of each setting by objective; each objective's add up to 1."""
+    extended_at: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    """Number of trials that it had when it was extended last; failures before do not end it."""
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
     idempotency_digest: Mapped[str | None] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
@@ -459,13 +467,15 @@ class Trial(Base):
     number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
     """Number of the trial in the sampler's own tables, from 0."""
     job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="SET NULL"), unique=True)
-    """Null if the choice could not be submitted, or if the job was deleted."""
+    """Null if it runs elsewhere, if the choice could not be submitted, or if the job was deleted."""
     state: Mapped[TrialState] = mapped_column(
         Enum(TrialState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
     )
     params: Mapped[dict[str, Any]]
     values: Mapped[list[float] | None] = mapped_column(ARRAY(Double))
-    """Values of the objectives, in their order; null until it is complete."""
+    """Values of the objectives, in their order; null until it is complete or they are reported from elsewhere."""
+    asked_at: Mapped[datetime | None]
+    """When somebody took it to run it elsewhere; null if nobody did."""
     error: Mapped[str | None]
     """Why it was pruned or has failed."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
@@ -599,8 +609,23 @@ class Worker(Base):
     version: Mapped[str] = mapped_column(String(40))
     disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)
     """Free space on the disk of its working folders."""
+    drained_at: Mapped[datetime | None]
+    """Since when it claims no work, at an administrator's request."""
     started_at: Mapped[datetime] = mapped_column(server_default=func.now())
     heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class OwnerUsage(Base):
+    """What the work of an owner has used on a day, by the database's clock; it stays when the work is deleted."""
+
+    __tablename__ = "usage"
+
+    owner: Mapped[str] = mapped_column(String(200), primary_key=True)
+    day: Mapped[date] = mapped_column(primary_key=True)
+    cpu_s: Mapped[float]
+    """Seconds of processors that attempts were busy."""
+    run_s: Mapped[float]
+    """Seconds that attempts took."""
 
 
 class Backup(Base):

@@ -147,9 +147,17 @@ def _begun(job: Job, step: int, resumed_from: str | None) -> Select[int]:
     return select(Event.id).where(*same).limit(1)
 
 
-def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | None = None) -> None:
+def begin(
+    sessions: Sessions,
+    lease: Lease,
+    *,
+    step: int,
+    resumed_from: str | None = None,
+    software: Mapping[str, str] | None = None,
+) -> None:
     """Record that a training starts at `step`; with steps done but no `resumed_from` from a file on the worker's disk.
 
+    `software` is what it runs with, see `naojobs.models.Job`; what differs from the attempt before is an event.
     Metrics beyond it will be measured again; those of earlier attempts stay until a new checkpoint supersedes them
     (`naojobs.records.write`). Raises LeaseLostError.
     """
@@ -164,6 +172,8 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
             .order_by(MetricsRecord.step.desc())
             .limit(1),
         )
+        if software is not None:
+            _note_software(session, job, software)
         job.progress_step = job.began_step = step
         job.latest_metrics = newest.values if newest is not None else {}
         job.updated_at = func.now()
@@ -174,6 +184,16 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
             f"{'resumes from' if resumed else 'starts at'} step {step}",
             {"step": step, "checkpoint_id": resumed_from},
         )
+
+
+def _note_software(session: Session, job: Job, software: Mapping[str, str]) -> None:
+    """Store what a job runs with; add an event if an earlier attempt ran with something else."""
+    before = job.software
+    changed = [name for name in sorted({*before, *software}) if before.get(name) != software.get(name)]
+    if before and changed:
+        parts = [f"{name} {before.get(name, 'none')} -> {software.get(name, 'none')}" for name in changed]
+        add_event(session, job, "software_changed", f"runs with other software: {', '.join(parts)}", {"before": before})
+    job.software = dict(software)
 
 
 def lose(sessions: Sessions, lease: Lease, reason: str) -> WorkState:

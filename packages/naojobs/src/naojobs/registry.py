@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from datetime import timedelta
+from typing import Any
 
-from sqlalchemy import delete, func, select
+from sqlalchemy import delete, func, select, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
+from naojobs.changes import add_event
 from naojobs.database import Sessions, one_statement
+from naojobs.errors import NotFoundError
 from naojobs.leases import read_lease_clock
 from naojobs.models import Job, Match, Worker
+from naojobs.preemption import YIELDING
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +59,33 @@ def leave(sessions: Sessions, worker_id: str) -> None:
         session.execute(delete(Worker).where(Worker.id == worker_id))
 
 
+def drain(sessions: Sessions, worker_id: str, *, requeue: bool = False) -> None:
+    """Keep a worker from claiming work; with `requeue` its trainings write a checkpoint and wait for another worker.
+
+    Evaluations, matches and what is evaluating end first. Raises NotFoundError.
+    """
+    with sessions.begin() as session:
+        _set_drained(session, worker_id, func.coalesce(Worker.drained_at, func.now()))
+        if not requeue:
+            return
+        held = select(Job).where(Job.lease_owner == worker_id, *YIELDING).order_by(Job.id).with_for_update()
+        for job in session.scalars(held):
+            job.yields_to = worker_id
+            add_event(session, job, "requeue_requested", "asked the worker to requeue it: the worker is drained")
+
+
+def undrain(sessions: Sessions, worker_id: str) -> None:
+    """Allow a worker to claim work again. Raises NotFoundError."""
+    with sessions.begin() as session:
+        _set_drained(session, worker_id, None)
+
+
+def _set_drained(session: Session, worker_id: str, value: Any) -> None:
+    changed = update(Worker).where(Worker.id == worker_id).values(drained_at=value).returning(Worker.id)
+    if session.scalar(changed) is None:
+        raise NotFoundError(f"no worker {worker_id}; `naoctl workers` lists them")
+
+
 def forget(sessions: Sessions, *, after_s: float = 86_400.0) -> None:
     """Remove workers whose last heartbeat is older than `after_s`."""
     with sessions.begin() as session:
@@ -62,9 +93,14 @@ def forget(sessions: Sessions, *, after_s: float = 86_400.0) -> None:
 
 
 def workers(
-    sessions: Sessions, *, stale_s: float = 30.0, limit: int | None = None, after: str | None = None
+    sessions: Sessions,
+    *,
+    stale_s: float = 30.0,
+    limit: int | None = None,
+    after: str | None = None,
+    only: str | None = None,
 ) -> list[WorkerStatus]:
-    """Return all workers by id, or `limit` of them after `after`.
+    """Return all workers by id, or `limit` of them after `after`, or the worker `only`.
 
     A worker whose last heartbeat is older than `stale_s` is not alive.
     """
@@ -73,6 +109,8 @@ def workers(
         statement = select(Worker, alive).order_by(Worker.id).limit(limit)
         if after is not None:
             statement = statement.where(Worker.id > after)
+        if only is not None:
+            statement = statement.where(Worker.id == only)
         rows = session.execute(statement).all()
         jobs, matches = _held(session, Job), _held(session, Match)
         return [

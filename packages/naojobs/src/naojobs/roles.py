@@ -53,9 +53,10 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "teams": {Role.API: "SID", Role.WORKER: "S"},
     "tokens": {Role.API: "SIUD"},
     "trials": {Role.API: "SU", Role.WORKER: "SIU"},
+    "usage": {Role.API: "S", Role.WORKER: "SIU"},
     # Workers write messages and see no key of signatures. Locking a row needs the right to update some column.
     "webhooks": {Role.API: "SIUD", Role.WORKER: ("SELECT (id, owner, events, disabled_at)", "UPDATE (created_at)")},
-    "workers": {Role.API: "S", Role.WORKER: "SIUD"},
+    "workers": {Role.API: "SU", Role.WORKER: "SIUD"},
 }
 """Rights on each table: S, I, U and D stand for SELECT, INSERT, UPDATE and DELETE; rights on columns are in full. Rows
 that a foreign key deletes with their job need none.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -16,17 +16,20 @@ from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
+from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.models import Study, StudyState, Trial, TrialState
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.requests import cancel_open
-from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, same_request
+from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, same_request, with_parent
 from naojobs.webhooks import MessageType, publish
 
 MAX_FAILURES_IN_A_ROW = 5
 """Trials in a row that may fail before the study fails."""
+PARENT = ("parent_job_id", "parent_checkpoint_id", "parent_policy")
+"""Fields of a request that name the policy to start from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +37,7 @@ class StudyRequest:
     """Study to start."""
 
     job: JobRequest
-    """What all trials have in common; its parent fields are not used."""
+    """What all trials have in common; with a parent they all start from its policy."""
     search: SearchSpec
     name: str | None = None
 
@@ -56,6 +59,7 @@ def submit_study(
     owner: str,
     idempotency_key: str | None = None,
     limits: Limits = NO_LIMITS,
+    see_all: bool = False,
 ) -> tuple[Study, bool]:
     """Start a study of `owner`; return it and whether it is new.
 
@@ -63,20 +67,25 @@ def submit_study(
 
     Raises:
         ConflictError: the key was used for another request.
-        InvalidError: a setting or an objective does not exist, or a value of a setting is refused.
+        InvalidError: a setting or an objective does not exist, a value of a setting is refused, or the policy to start
+            from does not exist or does not fit all trials; `see_all` allows others' jobs.
         QuotaError: `owner` has as many studies, or jobs, as `limits` allow.
     """
     check_evaluation(request.job.evaluation, request.job.spec, "job.evaluation")
-    search = complete(request.search, request.job)
+    search = request.search if request.search.elsewhere else complete(request.search, request.job)
+    at_ends = []
     for name, parameter in search.space.items():
         ends = [trial_job(request.job, {name: value}, field=f"search.space.{name}") for value in parameter.ends()]
+        at_ends += ends
         if search.sampler == "population":  # each may have to continue from the policy of another
             for other in ends[1:]:
                 check_fit(other, ends[0].spec, field=f"search.space.{name}")
     digest = request.digest() if idempotency_key is not None else None
     same_key = (Study.owner == owner, Study.idempotency_key == idempotency_key)
-    job = request.job
     with sessions.begin() as session:
+        job = _with_pinned_parent(session, request.job, owner, see_all)
+        for other in at_ends:
+            with_parent(session, other, owner, see_all)
         if idempotency_key is None or session.scalar(select(Study.id).where(*same_key)) is None:
             require_room(session, owner, limits, Quota.STUDIES, Quota.JOBS)
         study_id = session.scalar(
@@ -92,6 +101,7 @@ def submit_study(
                     "tags": list(job.tags),
                     "priority": job.priority,
                     "max_attempts": job.max_attempts,
+                    **{name: value for name in PARENT if (value := getattr(job, name)) is not None},
                 },
                 state=StudyState.RUNNING,
                 idempotency_key=idempotency_key,
@@ -106,6 +116,19 @@ def submit_study(
         if earlier is None:
             raise ConflictError("a study with this key was deleted just now; send the request again", "Idempotency-Key")
         return same_request(earlier, digest), False
+
+
+def _with_pinned_parent(session: Session, job: JobRequest, owner: str, see_all: bool) -> JobRequest:
+    """Return a job whose parent is a version or a checkpoint, so that all trials start from it. Raises InvalidError."""
+    job = with_parent(session, job, owner, see_all)
+    if job.parent_policy is not None:
+        return replace(job, parent_job_id=None, parent_checkpoint_id=None)
+    if job.parent_job_id is None or job.parent_checkpoint_id is not None:
+        return job
+    checkpoint = newest_checkpoint(session, job.parent_job_id)
+    if checkpoint is None:
+        raise InvalidError(f"job {job.parent_job_id} has no checkpoint yet; wait for the first", "job.parent_job_id")
+    return replace(job, parent_checkpoint_id=checkpoint.id)
 
 
 def complete(search: SearchSpec, job: JobRequest) -> SearchSpec:
@@ -176,6 +199,7 @@ def job_of(study: Study) -> JobRequest:
         tags=content["tags"],
         priority=content["priority"],
         max_attempts=content["max_attempts"],
+        **{name: content.get(name) for name in PARENT},
     )
 
 
@@ -211,6 +235,86 @@ def cancel_study(sessions: Sessions, study_id: str) -> Study:
             raise ConflictError(f"study {study_id} has already {study.state}; there is nothing to cancel")
         session.flush()
         session.refresh(study)
+    return study
+
+
+def extend_study(sessions: Sessions, study_id: str, trials: int, *, limits: Limits = NO_LIMITS) -> Study:
+    """Give a study `trials` trials in all; one that has ended runs again, with what its sampler has learned.
+
+    Raises NotFoundError, InvalidError if it has had as many trials or the search does not allow that number, and
+    QuotaError if its owner has as many jobs as `limits` allow.
+    """
+    with sessions.begin() as session:
+        study = _locked(session, study_id)
+        started = session.scalar(select(func.count()).select_from(Trial).where(Trial.study_id == study_id)) or 0
+        if trials <= started:
+            raise InvalidError(f"study {study.name} has started {started} trials; give a higher number", "trials")
+        try:
+            study.spec = SearchSpec.model_validate({**study.spec, "trials": trials}).model_dump(mode="json")
+        except ValidationError as error:
+            raise InvalidError(validation_words(error.errors()), "trials") from None
+        require_room(session, study.owner, limits, Quota.JOBS)
+        study.state, study.error, study.finished_at = StudyState.RUNNING, None, None
+        study.extended_at = started
+        session.flush()
+        session.refresh(study)
+    return study
+
+
+def ask(sessions: Sessions, study_id: str) -> tuple[Trial, JobRequest]:
+    """Take a trial of a study whose trials run elsewhere; return it with the training that it stands for.
+
+    Raises NotFoundError, and ConflictError if its trials are jobs, or if none waits to be taken.
+    """
+    with sessions.begin() as session:
+        study = _elsewhere(session, study_id)
+        if study.state is not StudyState.RUNNING:
+            raise ConflictError(f"study {study.name} is {study.state}; it has no more trials")
+        free = (Trial.study_id == study_id, Trial.state == TrialState.RUNNING, Trial.asked_at.is_(None))
+        trial = session.scalar(select(Trial).where(*free).order_by(Trial.number).limit(1))
+        if trial is None:
+            raise ConflictError("no trial waits to be taken; report those that are taken, or ask again in some seconds")
+        trial.asked_at = func.now()
+        session.flush()
+        session.refresh(trial)
+        return trial, trial_job(job_of(study), trial.params)
+
+
+def tell(
+    sessions: Sessions, study_id: str, number: int, *, values: Sequence[float] | None = None, error: str | None = None
+) -> Trial:
+    """Report the values of a trial that has run elsewhere, in the order of the objectives, or why it has none.
+
+    A worker hands them to the sampler within seconds; the same report again changes nothing.
+
+    Raises NotFoundError, InvalidError for another number of values, and ConflictError if its trials are jobs, if nobody
+    has taken the trial, or if something else was reported.
+    """
+    with sessions.begin() as session:
+        study = _elsewhere(session, study_id)
+        wanted = SearchSpec.model_validate(study.spec).objectives
+        if values is not None and len(values) != len(wanted):
+            names = ", ".join(objective.metric for objective in wanted)
+            raise InvalidError(f"expected {len(wanted)} values ({names}), got {len(values)}", "values")
+        trial = session.get(Trial, (study_id, number))
+        if trial is None:
+            raise NotFoundError(f"study {study_id} has no trial {number}")
+        reported = trial.values is not None or trial.error is not None
+        if reported and (trial.values, trial.error) != (None if values is None else list(values), error):
+            raise ConflictError(f"trial {number} was reported already")
+        if trial.asked_at is None:
+            raise ConflictError(f"nobody has taken trial {number}; ask for it first")
+        if not reported:
+            trial.values, trial.error = None if values is None else list(values), error
+        session.flush()
+        session.refresh(trial)
+    return trial
+
+
+def _elsewhere(session: Session, study_id: str) -> Study:
+    study = _locked(session, study_id)
+    if not study.spec.get("elsewhere"):
+        raise ConflictError(f"the trials of study {study.name} are jobs; workers run them")
     return study
 
 

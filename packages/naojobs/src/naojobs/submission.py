@@ -192,7 +192,7 @@ def add_job(
         if earlier is not None:
             return same_request(earlier, digest), False
     require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS)
-    request = _with_parent(session, request, owner, see_all)
+    request = with_parent(session, request, owner, see_all)
     check_evaluation(request.evaluation, request.spec, "evaluation")
     job_id = session.scalar(
         insert(Job)
@@ -314,7 +314,7 @@ def check_evaluation(evaluation: EvaluationSpec | None, trained: TrainingSpec, f
         raise InvalidError(validation_words(error.errors()), field + part) from None
 
 
-def _with_parent(session: Session, request: JobRequest, owner: str, see_all: bool) -> JobRequest:
+def with_parent(session: Session, request: JobRequest, owner: str, see_all: bool) -> JobRequest:
     """Return the request with the job, checkpoint and version that its parent policy names, after a check that it fits.
 
     Raises InvalidError.

@@ -138,6 +138,11 @@ class SearchSpec(_Model):
     startup_trials: int = Field(default=10, ge=1, le=1000, description="Random trials before `tpe` models the results.")
     seed: int = Field(default=0, ge=0, lt=2**31, description="Seed of the sampler.")
     pruning: Pruning = Field(default_factory=Pruning, description="When trials end early.")
+    elsewhere: bool = Field(
+        default=False,
+        description="Whether clients take the trials (`naoctl study ask`), run them elsewhere and report the values of "
+        "the objectives, whose names are then free; otherwise trials are jobs.",
+    )
     trials: int = Field(default=20, ge=1, le=1000, description="Number of trials.")
     parallel: int = Field(default=2, ge=1, le=64, description="Trials that may wait or run at a time.")
 
@@ -148,6 +153,18 @@ class SearchSpec(_Model):
         names = [objective.metric for objective in self.objectives]
         if len(set(names)) < len(names):
             raise ValueError("objectives: a metric is given twice; give each once")
+        return self
+
+    @model_validator(mode="after")
+    def _elsewhere(self) -> Self:
+        if not self.elsewhere:
+            return self
+        if any(objective.direction is None for objective in self.objectives) or not self.objectives:
+            raise ValueError("objectives: trials that run elsewhere need objectives with directions")
+        if self.sampler == "population":
+            raise ValueError("sampler: population continues from checkpoints of jobs; use tpe or random")
+        if self.pruning.name != "none":
+            raise ValueError("pruning: trials that run elsewhere report no progress; use pruning none")
         return self
 
     @model_validator(mode="after")

@@ -241,6 +241,7 @@ async def follower(request: Request, service: ServiceDep, credentials: Credentia
 Reader = Annotated[Principal, Depends(needs(Scope.READ))]
 Follower = Annotated[Principal, Depends(follower)]
 Submitter = Annotated[Principal, Depends(needs(Scope.SUBMIT))]
+Admin = Annotated[Principal, Depends(needs(Scope.ADMIN))]
 
 JobId = Annotated[str, Path(pattern=PATTERN, description="Id of the job.")]
 CheckpointId = Annotated[str, Path(pattern=PATTERN, description="Id of the checkpoint.")]

@@ -45,6 +45,8 @@ class JobFilter:
     owner: str | None = None
     group: str | None = None
     parent: str | None = None
+    task: str | None = None
+    robot: str | None = None
     text: str | None = None
     job_id: str | None = None
 
@@ -60,6 +62,10 @@ class JobFilter:
             statement = statement.where(Job.group_id == self.group)
         if self.parent is not None:
             statement = statement.where(Job.parent_job_id == self.parent)
+        if self.task is not None:
+            statement = statement.where(Job.task == self.task)
+        if self.robot is not None:
+            statement = statement.where(Job.robot == self.robot)
         if self.job_id is not None:
             statement = statement.where(Job.id == self.job_id)
         if self.text:

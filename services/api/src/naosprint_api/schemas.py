@@ -24,6 +24,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    FiniteFloat,
     HttpUrl,
     StringConstraints,
     model_validator,
@@ -194,10 +195,7 @@ class StudyCreate(_Request):
     search: SearchSpec = Field(description="What to vary and to optimize, how to sample and when to prune.")
 
     @model_validator(mode="after")
-    def _without_parent(self) -> Self:
-        for field in ("parent_job_id", "parent_policy"):
-            if getattr(self.job, field) is not None:
-                raise ValueError(f"job.{field}: trials start from random weights; leave it out")
+    def _starts_at_once(self) -> Self:
         if self.job.not_before is not None:
             raise ValueError("job.not_before: trials start as the study chooses them; leave it out")
         return self
@@ -261,6 +259,9 @@ class JobPublic(_Public):
     parent_job_id: str | None
     parent_checkpoint_id: str | None
     parent_policy: str | None = Field(description="The bundled policy or the version that it was to start from.")
+    software: dict[str, str] = Field(
+        description="Versions by package that the last attempt ran with, and the commit of the source if it is known."
+    )
     group_id: str | None
     progress_step: int = Field(description="Environment steps done.")
     total_steps: int = Field(description="Environment steps to do: whole rollouts.")
@@ -530,13 +531,45 @@ class TrialPublic(_Public):
     """Trial of a study."""
 
     number: int
-    job_id: str | None = Field(description="Null if its settings were refused or its job was deleted.")
+    job_id: str | None = Field(
+        description="Null if it runs elsewhere, if its settings were refused or if its job was deleted."
+    )
     state: TrialState
     params: dict[str, Any] = Field(description="The settings that were chosen.")
-    values: list[float] | None = Field(description="Values of the objectives; null until it is complete.")
+    values: list[float] | None = Field(
+        description="Values of the objectives; null until it is complete, or reported from elsewhere."
+    )
+    asked_at: datetime | None = Field(description="When it was taken to run it elsewhere.")
     error: str | None = Field(description="Why it was pruned or has failed.")
     created_at: datetime
     finished_at: datetime | None
+
+
+class TrialAsked(TrialPublic):
+    """Trial to run elsewhere."""
+
+    spec: dict[str, Any] = Field(description="The training with the settings that were chosen.")
+
+
+class TrialTell(_Request):
+    """Result of a trial that has run elsewhere."""
+
+    values: list[FiniteFloat] | None = Field(None, max_length=4, description="Values, in the order of the objectives.")
+    error: Annotated[str, StringConstraints(min_length=1, max_length=2000, pattern=TEXT)] | None = Field(
+        None, description="Why it has no values."
+    )
+
+    @model_validator(mode="after")
+    def _one_result(self) -> Self:
+        if (self.values is None) == (self.error is None):
+            raise ValueError("values: give values or an error")
+        return self
+
+
+class StudyExtend(_Request):
+    """Extension of a study."""
+
+    trials: int = Field(ge=1, le=1000, description="Number of trials in all.")
 
 
 class StudyPublic(_Public):
@@ -771,11 +804,29 @@ class WorkerPublic(_Public):
     algorithms: list[str]
     version: str
     disk_free_bytes: int | None = Field(description="Free space on the disk of its working folders.")
+    drained_at: datetime | None = Field(description="Since when it claims no work at an administrator's request.")
     started_at: datetime
     heartbeat_at: datetime
     alive: bool = Field(description="Whether its last heartbeat is recent.")
     jobs: list[str] = Field(description="Its leased jobs.")
     matches: list[str] = Field([], description="Its leased matches.")
+
+
+class WorkerDrain(_Request):
+    """How to drain a worker."""
+
+    requeue: bool = Field(
+        False,
+        description="Whether its trainings write a checkpoint and wait for another worker instead of ending here.",
+    )
+
+
+class UsagePublic(_Public):
+    """What an owner's work has used in a period."""
+
+    owner: str
+    cpu_s: float = Field(description="Seconds of processors that attempts were busy.")
+    run_s: float = Field(description="Seconds that attempts took.")
 
 
 class WorkerPage(Page[WorkerPublic]):

@@ -86,15 +86,22 @@ class TrainingProcess:
             if not self._gone:
                 self._kill_group()
 
-    def resident_bytes(self) -> int:
-        """Return the resident memory of the leader and all its descendants, 0 when they are gone."""
-        total = 0
+    def usage(self) -> tuple[int, float]:
+        """Return the resident bytes of the leader and all its descendants, and the seconds of processors they used.
+
+        Both are 0 when they are gone.
+        """
+        resident, cpu_s = 0, 0.0
         with contextlib.suppress(psutil.Error):
             leader = psutil.Process(self.pid)
+            ended = leader.cpu_times()
+            cpu_s += ended.children_user + ended.children_system
             for process in [leader, *leader.children(recursive=True)]:
-                with contextlib.suppress(psutil.Error):
-                    total += process.memory_info().rss
-        return total
+                with contextlib.suppress(psutil.Error), process.oneshot():
+                    resident += process.memory_info().rss
+                    times = process.cpu_times()
+                    cpu_s += times.user + times.system
+        return resident, cpu_s
 
     def _kill_group(self) -> None:
         with contextlib.suppress(ProcessLookupError, PermissionError):

@@ -18,6 +18,7 @@ from naojobs.leases import Claim, EvaluationClaim, JobClaim
 from naojobs.models import WorkKind
 from naojobs.records import LogLine
 from naojobs.states import WorkState
+from naojobs.usage import add_usage
 from naosim.launchers import LABELS_VARIABLE
 
 from naosprint_worker.assignment import EvaluationAssignment, MatchAssignment, TrainingAssignment
@@ -80,6 +81,7 @@ class Run:
             beat=lambda: leases.heartbeat(sessions, self._lease, lease_s=lease_s),
             look=lambda: leases.read_requests(sessions, self._lease),
             report_stall=lambda idle_s: outcomes.report_stall(sessions, self._lease, idle_s),
+            report_usage=lambda cpu_s, run_s: add_usage(sessions, self._lease, cpu_s=cpu_s, run_s=run_s),
             must_end=self._must_end,
             workdir=self._workdir,
             log_path=self._workdir / "output.log",
@@ -115,6 +117,7 @@ class Run:
                 reason = public(f"the {self._program} could not be started: {describe(error)}")
                 self._patiently(lambda: outcomes.lose(self._context.sessions, self._lease, reason))
                 return
+            self._patiently(self._supervisor.account)
             self._patiently(lambda: self._settle(ending))
         except LeaseLostError as error:
             logger.warning("%s; leaving it to its new owner", error)
@@ -167,6 +170,8 @@ class Run:
             self._fail(ending, f"the {self._program} ran longer than its time limit of {self._time_limit_s:g} s")
         elif ending.intent is Intent.PAUSE:
             self._give_back(WorkState.PAUSED, f"paused as requested{where}")
+        elif ending.intent is Intent.REQUEUE:
+            self._give_back(WorkState.QUEUED, f"requeued as requested{where}")
         elif ending.intent is Intent.SHUTDOWN:
             self._give_back(WorkState.QUEUED, f"requeued: the worker shuts down{where}")
         elif ending.reported is TrainerExitCode.PERMANENT:

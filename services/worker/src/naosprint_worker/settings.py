@@ -47,6 +47,13 @@ class WorkerSettings(ServiceSettings):
     worker_claim_s: float = Field(
         5.0, gt=0, le=600, description="Seconds between two checks of a free worker for waiting jobs and evaluations."
     )
+    worker_preempt_by: int = Field(
+        3,
+        ge=0,
+        le=9,
+        description="A training makes room for work that waits with a priority higher by this much or more, and "
+        "resumes from the same step later; 0: never.",
+    )
     worker_idle_exit_s: float | None = Field(
         None,
         gt=0,

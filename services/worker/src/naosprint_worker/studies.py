@@ -24,7 +24,7 @@ from naojobs.errors import InvalidError
 from naojobs.ids import same_id
 from naojobs.models import Evaluation, Job, MetricsRecord, Study, StudyState, Trial, TrialState
 from naojobs.states import ENDED, WorkState
-from naojobs.submission import add_job
+from naojobs.submission import JobRequest, add_job
 from naospec.search import Choices, IntRange, Parameter, Pruning, SearchSpec
 from sqlalchemy import func, select, text
 from sqlalchemy.orm import Session
@@ -190,7 +190,12 @@ class _Pass:
         job = self._jobs.get(row.job_id or "")
         if not frozen.state.is_finished():
             values, error = None, None
-            if job is None:
+            if self._search.elsewhere:
+                if row.values is None and row.error is None:
+                    return None
+                values, error = row.values, row.error
+                state = Told.COMPLETE if values is not None else Told.FAIL
+            elif job is None:
                 state, error = Told.FAIL, "its job was deleted"
             elif job.state not in ENDED:
                 return self._compare(frozen, job)
@@ -308,7 +313,9 @@ class _Pass:
         if len(states) >= self._search.trials and TrialState.RUNNING not in states:
             studies.end(self._session, self._row, StudyState.FINISHED, "all trials have ended")
             return True
-        over = [trial for trial in rows if trial.state is not TrialState.RUNNING]
+        over = [
+            trial for trial in rows if trial.state is not TrialState.RUNNING and trial.number >= self._row.extended_at
+        ]
         latest = over[-studies.MAX_FAILURES_IN_A_ROW :]
         if len(latest) == studies.MAX_FAILURES_IN_A_ROW and all(t.state is TrialState.FAILED for t in latest):
             why = f"{len(latest)} trials in a row failed; the last one: {latest[-1].error}"
@@ -347,20 +354,28 @@ class _Pass:
             if parent is not None:  # the environments are to differ from those that its policy was trained in
                 seed = request.spec.seed + number // self._search.population
                 request = replace(
-                    request, parent_job_id=parent.job_id, spec=request.spec.model_copy(update={"seed": seed})
+                    request,
+                    parent_job_id=parent.job_id,
+                    parent_checkpoint_id=None,
+                    parent_policy=None,
+                    spec=request.spec.model_copy(update={"seed": seed}),
                 )
+            if not self._search.elsewhere:
+                row.job_id = self._submit(request, number)
         except InvalidError as error:
             from optuna.trial import TrialState as Told
 
             self._study.tell(number, state=Told.FAIL, skip_if_finished=True)
             row.state, row.error = TrialState.FAILED, str(error)
             row.finished_at = func.now()
-        else:
-            request = replace(request, name=f"{self._row.name[:180]}-{number}")
-            job, _ = add_job(self._session, request, self._row.owner, group_id=self._row.id)
-            row.job_id = job.id
         self._rows[number] = row
         self._session.add(row)
+
+    def _submit(self, request: JobRequest, number: int) -> str:
+        """Queue the job of a trial; return its id."""
+        request = replace(request, name=f"{self._row.name[:180]}-{number}")
+        job, _ = add_job(self._session, request, self._row.owner, see_all=True, group_id=self._row.id)
+        return job.id
 
     def _sampler(self) -> optuna.samplers.BaseSampler:
         import optuna

@@ -28,6 +28,8 @@ logger = logging.getLogger(__name__)
 
 MEMORY_PERIOD_S = 1.0
 """Seconds between two checks of a child's memory: finding all of its processes takes time."""
+USAGE_PERIOD_S = 60.0
+"""Seconds between two reports of what a child has used."""
 
 _TRACEBACK_S, _TRACEBACK_LINES = 0.5, 60
 """Seconds that a stalled child has to print where it is, and the lines of that which are kept."""
@@ -40,21 +42,23 @@ class Intent(enum.IntEnum):
     """It was not asked to stop."""
     SHUTDOWN = 1
     """The worker shuts down; the work resumes on another one."""
-    PAUSE = 2
+    REQUEUE = 2
+    """It makes room for urgent work, or its worker is drained."""
+    PAUSE = 3
     """A user requested a pause."""
-    CUT_OFF = 3
+    CUT_OFF = 4
     """The database has been unreachable for too long."""
-    TIME_LIMIT = 4
+    TIME_LIMIT = 5
     """It has run longer than it may."""
-    CANCEL = 5
+    CANCEL = 6
     """A user requested its end."""
-    STALLED = 6
+    STALLED = 7
     """It has made no step for too long."""
-    CROWDED = 7
+    CROWDED = 8
     """All children of the worker together hold more memory than they may."""
-    MEMORY = 8
+    MEMORY = 9
     """It holds more memory than it may."""
-    LEASE_LOST = 9
+    LEASE_LOST = 10
     """The lease is lost."""
 
 
@@ -82,8 +86,9 @@ class TrainingSupervisor:
     """Supervisor of a child that works under a lease.
 
     ``beat`` renews the lease and returns the users' requests; ``look`` only reads them; ``report_stall`` records the
-    seconds without a step once they exceed ``worker_stall_warn_s``, and None when there is a step again. They may raise
-    `LeaseLostError` and database errors. ``must_end`` takes the child's bytes of memory and returns whether it has to
+    seconds without a step once they exceed ``worker_stall_warn_s``, and None when there is a step again;
+    ``report_usage`` adds seconds of processors and of running, every minute. They may raise `LeaseLostError` and
+    database errors. ``must_end`` takes the child's bytes of memory and returns whether it has to
     end because all children of the worker hold too much. A lost lease, too much memory, or ``worker_stall_s`` seconds
     without a step kill the child at once; for every other reason, ``time_limit_s`` among them, it is asked to stop and
     has ``grace_s`` seconds (``worker_stop_grace_s`` by default) before it is killed.
@@ -97,6 +102,7 @@ class TrainingSupervisor:
         beat: Callable[[], Requests],
         look: Callable[[], Requests],
         report_stall: Callable[[float | None], None],
+        report_usage: Callable[[float, float], None] = lambda _cpu_s, _run_s: None,
         workdir: Path,
         log_path: Path,
         must_end: Callable[[int], bool] = lambda _held_bytes: False,
@@ -109,6 +115,8 @@ class TrainingSupervisor:
         self._beat = beat
         self._look = look
         self._report_stall = report_stall
+        self._report_usage = report_usage
+        self._used_s = self._reported_s = (0.0, 0.0)
         self._must_end = must_end
         self._stalled = False
         self._workdir = workdir
@@ -160,6 +168,7 @@ class TrainingSupervisor:
         started = contact = beaten = time.monotonic()
         progress = ProgressWatch(self._workdir)
         while child.runs():
+            self._used_s = (self._used_s[0], time.monotonic() - started)
             self._wake.wait(settings.worker_poll_s)
             self._wake.clear()
             if not child.runs():
@@ -174,6 +183,8 @@ class TrainingSupervisor:
                 contact = time.monotonic()
                 self._obey(child, requests)
                 self._note_stall(progress.idle_s)
+                if self._used_s[1] - self._reported_s[1] >= USAGE_PERIOD_S:
+                    self.account()
             except LeaseLostError as error:
                 logger.warning("%s; ending its child", error)
                 self._intent = Intent.LEASE_LOST
@@ -199,6 +210,13 @@ class TrainingSupervisor:
                 self._overstayed = True
                 child.kill()
 
+    def account(self) -> None:
+        """Report what the child has used since the last report."""
+        used, before = self._used_s, self._reported_s
+        if used != before:
+            self._report_usage(used[0] - before[0], used[1] - before[1])
+            self._reported_s = used
+
     def _note_stall(self, idle_s: float) -> None:
         stalled = idle_s > self._settings.worker_stall_warn_s
         if stalled is not self._stalled:
@@ -210,6 +228,8 @@ class TrainingSupervisor:
             self._stop(child, Intent.CANCEL)
         elif requests.state is WorkState.PAUSING:
             self._stop(child, Intent.PAUSE)
+        elif requests.requeue and requests.state in (WorkState.STARTING, WorkState.RUNNING):
+            self._stop(child, Intent.REQUEUE)
 
     def _stop(self, child: TrainingProcess, intent: Intent) -> None:
         self._intent = max(self._intent, intent)
@@ -223,7 +243,8 @@ class TrainingSupervisor:
         if now - self._weighed_at < MEMORY_PERIOD_S:
             return
         self._weighed_at = now
-        held = child.resident_bytes()
+        held, cpu_s = child.usage()
+        self._used_s = (max(cpu_s, self._used_s[0]), self._used_s[1])  # a server that has ended counts no more
         self._peak_bytes = max(self._peak_bytes, held)
         limit = self._settings.worker_memory_mb
         if limit is not None and held > limit * MIB and self._intent < Intent.MEMORY:

@@ -43,6 +43,7 @@ from naosprint_worker.recorder import Recorder
 from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
 from naosprint_worker.sink import JobSink
+from naosprint_worker.software import software
 from naosprint_worker.spool import Entry, Spool, link_or_copy
 
 logger = logging.getLogger(__name__)
@@ -129,7 +130,9 @@ class Attempt:
             if resumed_from is not None:
                 self._recorder.already_stored(step)
             self._database(
-                lambda: outcomes.begin(services.sessions, lease, step=step, resumed_from=resumed_from),
+                lambda: outcomes.begin(
+                    services.sessions, lease, step=step, resumed_from=resumed_from, software=software()
+                ),
                 "starting the attempt",
             )
             if start and start.waiting:

@@ -17,6 +17,7 @@ from naojobs import leases, registry, retention
 from naojobs.database import make_sessions
 from naojobs.models import AnyWork, Evaluation, Job, Match, WorkKind
 from naojobs.notifications import Notifier, make_celery
+from naojobs.preemption import make_room
 from naojobs.store import ArtifactStore, StoreError
 from naospec.files import private_folder
 from naospec.processes import ProcessIdentity
@@ -91,7 +92,7 @@ class WorkLoop:
             ("beat", settings.heartbeat_s, self._beat, self._stopping),
             ("reap", settings.worker_reap_s, self._reaper.sweep, self._stopping),
             ("sweep", settings.worker_sweep_s, self._sweep, self._stopping),
-            ("claim", settings.worker_claim_s, self._claim_work, self._woken),
+            ("claim", settings.worker_claim_s, self._look_for_work, self._woken),
             ("studies", settings.worker_claim_s, self._conduct, self._study_woken),
         ):
             thread = threading.Thread(target=self._repeat, args=(name, period_s, duty, wake), name=name, daemon=True)
@@ -127,6 +128,22 @@ class WorkLoop:
         shutil.rmtree(self._context.folder, ignore_errors=True)
         self._notifier.close()
         self._engine.dispose()
+
+    def _look_for_work(self) -> None:
+        """Fill the free slots; if there are none, make room for urgent work."""
+        self._claim_work()
+        settings, full = self._settings, len(self._runs) >= self._settings.worker_concurrency
+        if settings.worker_preempt_by == 0 or not full or self._stopping.is_set():
+            return
+        made = make_room(
+            self._context.sessions,
+            self.id,
+            self._context.capabilities,
+            by=settings.worker_preempt_by,
+            after_s=2 * settings.worker_claim_s,
+        )
+        if made is not None:
+            logger.info("job %s makes room for %s", *made)
 
     def _claim_work(self) -> None:
         """Fill the free slots with waiting work."""

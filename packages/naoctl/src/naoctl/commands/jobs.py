@@ -10,7 +10,16 @@ from naospec import TrainingSpec, plugins, read_stored
 from rich.table import Table
 
 from naoctl.commands.artifacts import await_evaluation
-from naoctl.context import Context, JsonFlag, complete_job, completions, context_of, find_job, stdin_is_terminal
+from naoctl.context import (
+    Context,
+    JsonFlag,
+    complete_job,
+    completions,
+    context_of,
+    find_job,
+    find_listed,
+    stdin_is_terminal,
+)
 from naoctl.descriptions import Descriptions, common, value_text
 from naoctl.errors import InvalidInput, plain
 from naoctl.evaluations import TRAINING_MARK, TRAINING_NOTE, headline, job_evaluation
@@ -54,6 +63,9 @@ def list_jobs(
     ] = None,
     owner: Annotated[str | None, typer.Option(help="Only this owner's.")] = None,
     group: Annotated[str | None, typer.Option(metavar="ID", help="Only those of this sweep.")] = None,
+    study: Annotated[str | None, typer.Option(metavar="STUDY", help="Only the trials of this study.")] = None,
+    task: Annotated[str | None, typer.Option(help="Only those of this task.")] = None,
+    robot: Annotated[str | None, typer.Option(help="Only those of this robot.")] = None,
     query: Annotated[str | None, typer.Option("--query", "-q", help="Only those whose name contains this.")] = None,
     columns: Annotated[
         str | None,
@@ -76,9 +88,11 @@ def list_jobs(
         if word not in STATES:
             raise InvalidInput(f"--state: unknown state {word!r}", fix=f"Choose from {', '.join(STATES)}.")
     with context.client() as client:
-        jobs = list(
-            client.pages("/jobs", limit=limit, state=state or None, tag=tag or None, owner=owner, group=group, q=query)
-        )
+        if study:
+            group = find_listed(client, "/studies", "study", study)["id"]
+        wanted: dict[str, Any] = {"owner": owner, "group": group, "task": task, "robot": robot, "q": query}
+        wanted |= {"state": state or None, "tag": tag or None}
+        jobs = list(client.pages("/jobs", limit=limit, **wanted))
         if sort:
             jobs = sorted_jobs(jobs, sort)
         unknown = [name for name in names if name not in COLUMNS and all(value_of(job, name) is None for job in jobs)]
@@ -100,9 +114,7 @@ def list_jobs(
         if len(jobs) == limit:
             context.note(f"The newest {limit}; --limit shows more.")
     else:
-        context.note(
-            "No jobs." if state or tag or owner or group or query else "No jobs yet. Submit one with `naoctl submit`."
-        )
+        context.note("No jobs." if any(wanted.values()) else "No jobs yet. Submit one with `naoctl submit`.")
 
 
 def sorted_jobs(jobs: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:

@@ -17,8 +17,8 @@ from typer.core import TyperGroup
 
 from naoctl.client import Client
 from naoctl.commands.submit import hand_in
-from naoctl.context import Context, JsonFlag, context_of
-from naoctl.errors import CliError, ExitCode, InvalidInput, plain
+from naoctl.context import Context, JsonFlag, context_of, find_listed
+from naoctl.errors import CliError, InvalidInput, plain
 from naoctl.follow import ENDED, result_of
 from naoctl.render import MISSING, ago, cell, listing, pairs, size, state_text
 from naoctl.transfer import RemoteFile, fetch
@@ -118,22 +118,8 @@ def _follow(context: Context, client: Client, match_id: str, *, quiet: bool) -> 
 
 
 def find_match(client: Client, reference: str) -> dict[str, Any]:
-    """Return a match with its games by its id, the end of it, or ``last`` for the newest.
-
-    Raises:
-        CliError: if there is none.
-    """
-    found: dict[str, Any]
-    if len(reference) == len("match_") + 26 and reference.startswith("match_"):
-        found = client.get(f"/matches/{reference}")
-        return found
-    for match in client.pages("/matches", limit=1000):
-        if reference == "last" or (len(reference) >= 6 and match["id"].endswith(reference)):
-            found = client.get(f"/matches/{match['id']}")
-            return found
-    raise CliError(
-        f"There is no match {reference!r}", fix="`naoctl match list` shows all matches.", code=ExitCode.NOT_FOUND
-    )
+    """Return a match with its games by what a user typed. Raises CliError."""
+    return find_listed(client, "/matches", "match", reference)
 
 
 @app.command("list")

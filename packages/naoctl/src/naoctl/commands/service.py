@@ -18,6 +18,8 @@ from naoctl.errors import CliError, ExitCode, InvalidInput, plain
 from naoctl.render import MISSING, ago, cell, has_passed, listing, size
 
 PACKAGES = ("naospec", "naojobs", "naosprint", "naosim", "naosprint-api", "naosprint-worker")
+WorkerId = Annotated[str, typer.Argument(metavar="ID", help="A worker's id, as `naoctl workers` shows it.")]
+workers_app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 token_app = typer.Typer(no_args_is_help=True, help="Create, list and revoke tokens; needs a token with scope admin.")
 SCOPES = ("read", "submit", "admin")
 
@@ -73,8 +75,11 @@ def logout(
         context.out.print(f"{'Signed out of' if known else 'No token is stored for'} {chosen}", markup=False)
 
 
+@workers_app.callback(invoke_without_command=True)
 def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
-    """List the workers with their jobs and matches."""
+    """List the workers with their jobs and matches; drain one before maintenance."""
+    if ctx.invoked_subcommand:
+        return
     context = context_of(ctx)
     with context.client() as client:
         found = client.every("/workers")
@@ -83,7 +88,8 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
         return
     table = listing("ID", "Queues", "Robots", "Works on", "Free disk", "Last seen", "Version")
     for worker in found:
-        seen = ago(worker["heartbeat_at"]) + ("" if worker["alive"] else " (lost)")
+        marks = [("drained", worker["drained_at"]), ("lost", not worker["alive"])]
+        seen = " ".join([ago(worker["heartbeat_at"]), *(f"({word})" for word, holds in marks if holds)])
         table.add_row(
             cell(worker["id"]),
             cell(", ".join(worker["simulators"])),
@@ -92,9 +98,76 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
             MISSING if worker["disk_free_bytes"] is None else size(worker["disk_free_bytes"]),
             seen,
             cell(worker["version"]),
-            style=None if worker["alive"] else "red",
+            style="red" if not worker["alive"] else "yellow" if worker["drained_at"] else None,
         )
     context.out.print(table if found else "No workers. Jobs wait until one starts; `naoctl up` starts one.")
+
+
+@workers_app.command("drain")
+def drain(
+    ctx: typer.Context,
+    worker: WorkerId,
+    requeue: Annotated[
+        bool,
+        typer.Option("--requeue", help="Its trainings write a checkpoint and continue on another worker, not here."),
+    ] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Keep a worker from claiming work, for example before its machine is restarted. Needs scope admin.
+
+    What it runs ends there first. A worker that is started again claims work.
+    """
+    _set_drained(ctx, worker, "drain", {"requeue": requeue}, as_json=as_json)
+
+
+@workers_app.command("undrain")
+def undrain(ctx: typer.Context, worker: WorkerId, as_json: JsonFlag = False) -> None:
+    """Allow a drained worker to claim work again. Needs scope admin."""
+    _set_drained(ctx, worker, "undrain", None, as_json=as_json)
+
+
+def _set_drained(ctx: typer.Context, worker: str, verb: str, body: Any, *, as_json: bool) -> None:
+    context = context_of(ctx)
+    with context.client() as client:
+        try:
+            found = client.post(f"/workers/{quote(worker, safe='')}/{verb}", body)
+        except ApiError as error:
+            if error.status != 404:
+                raise
+            raise CliError(
+                f"There is no worker {plain(worker)}", fix="`naoctl workers` lists them.", code=ExitCode.NOT_FOUND
+            ) from None
+    if as_json:
+        context.json(found)
+        return
+    context.out.print(f"{found['id']}: {verb}ed", markup=False)
+    if verb == "drain" and found["jobs"]:
+        context.note(f"It still runs {', '.join(found['jobs'])}; `naoctl workers` shows when it has none.")
+
+
+def usage(
+    ctx: typer.Context,
+    since: Annotated[str | None, typer.Option(metavar="DATE", help="First day (UTC), such as 2026-11-01.")] = None,
+    until: Annotated[str | None, typer.Option(metavar="DATE", help="Last day (UTC).")] = None,
+    owner: Annotated[str | None, typer.Option(help="This owner only.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show the core hours and the hours of attempts by owner, deleted jobs included.
+
+    A token with scope admin shows all owners.
+    """
+    context = context_of(ctx)
+    with context.client() as client:
+        found = client.get("/usage", since=since, until=until, owner=owner)
+    if as_json:
+        context.json(found)
+        return
+    table = listing("Owner")
+    for heading in ("Core hours", "Hours"):
+        table.add_column(heading, justify="right")
+    for item in found:
+        table.add_row(cell(item["owner"]), *(f"{item[name] / 3600:,.2f}" for name in ("cpu_s", "run_s")))
+    context.out.print(table if found else "Nothing was used in this period.")
 
 
 def version(ctx: typer.Context, as_json: JsonFlag = False) -> None:
@@ -201,6 +274,7 @@ def token_revoke(
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
-    for function in (login, logout, workers, version):
+    app.add_typer(workers_app, name="workers")
+    for function in (login, logout, usage, version):
         app.command(function.__name__)(function)
     app.add_typer(token_app, name="token")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Annotated, Any
 
+import naopolicies
 import typer
 from naospec.search import SearchSpec
 from pydantic import ValidationError
@@ -21,19 +24,19 @@ from naoctl.commands.submit import (
     hand_in,
     make_job,
 )
-from naoctl.context import JsonFlag, context_of
-from naoctl.errors import CliError, ExitCode, InvalidInput, plain
+from naoctl.context import JsonFlag, complete_job, context_of, find_job, find_listed
+from naoctl.errors import InvalidInput, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
 from naoctl.render import MISSING, ago, cell, listing, pairs
 from naoctl.specflags import expanded, parse_flags, spec_parameters, training_settings, with_parameters
 
 app = typer.Typer(
-    help="List, show, cancel and delete studies.",
+    help="List, show, extend, cancel and delete studies; take and report trials that run elsewhere.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-Reference = Annotated[str, typer.Argument(metavar="STUDY", help="A study's id, its name, or `last`.")]
+Reference = Annotated[str, typer.Argument(metavar="STUDY", help="A study's id, the end of it, its name, or `last`.")]
 
 DIRECTIONS = {"max": "maximize", "min": "minimize", "maximize": "maximize", "minimize": "minimize"}
 _SPACE_EXAMPLE = "For example --space learning_rate=1e-4..1e-2:log --space 'n_epochs=5|10'."
@@ -71,6 +74,25 @@ def tune(
     prune_metric: Annotated[
         str | None, typer.Option(metavar="METRIC", help="Training metric that trials are compared by.")
     ] = None,
+    parent: Annotated[
+        str | None,
+        typer.Option(
+            "--from", metavar="JOB", help="Start all trials from this job's policy.", autocompletion=complete_job
+        ),
+    ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            "--from-policy",
+            metavar="POLICY",
+            help="Start all trials from a bundled or registered policy: NAME, NAME@VERSION, NAME@ALIAS.",
+            autocompletion=lambda: list(naopolicies.names()),
+        ),
+    ] = None,
+    elsewhere: Annotated[
+        bool,
+        typer.Option("--elsewhere", help="Submit no jobs: `naoctl study ask` takes trials, which you run elsewhere."),
+    ] = False,
     name: Annotated[str | None, typer.Option("--name", "-n", metavar="NAME", help="Name of the study.")] = None,
     tag: TagOption = None,
     priority: PriorityOption = None,
@@ -90,7 +112,9 @@ def tune(
     """
     del help_all
     context = context_of(ctx)
-    job = make_job(file, recipe, spec, evaluation, tags=tag, priority=priority)
+    if parent and policy:
+        raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
+    job = make_job(file, recipe, spec, evaluation, tags=tag, priority=priority, parent_policy=policy)
     search = make_search(
         space or [],
         objective or [],
@@ -99,6 +123,7 @@ def tune(
         sampler=sampler,
         population=population,
         seed=sampler_seed,
+        elsewhere=elsewhere,
         pruning={"name": prune, "metric": prune_metric},
     )
     body = {"job": job, "search": search, "name": name}
@@ -106,6 +131,8 @@ def tune(
         context.json(body)
         return
     with context.client() as client:
+        if parent:
+            job["parent_job_id"] = find_job(client, parent)["id"]
         study = hand_in(client, "/studies", body, key)
     if as_json:
         context.json(study)
@@ -184,22 +211,8 @@ def _typed(value: Any) -> Any:
 
 
 def find_study(client: Client, reference: str) -> dict[str, Any]:
-    """Return a study with its trials by its id, its name, or ``last`` for the newest.
-
-    Raises:
-        CliError: if there is no such study.
-    """
-    if reference.startswith("study_"):
-        found: dict[str, Any] = client.get(f"/studies/{reference}")
-        return found
-    named = reference if reference != "last" else None
-    for study in client.pages("/studies", limit=200, q=named):
-        if named is None or study["name"] == named:
-            found = client.get(f"/studies/{study['id']}")
-            return found
-    raise CliError(
-        f"There is no study {reference!r}", fix="`naoctl study list` shows all studies.", code=ExitCode.NOT_FOUND
-    )
+    """Return a study with its trials by what a user typed. Raises CliError."""
+    return find_listed(client, "/studies", "study", reference)
 
 
 @app.command("list")
@@ -280,6 +293,76 @@ def _short(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+@app.command("extend")
+def extend_study(
+    ctx: typer.Context,
+    study: Reference,
+    trials: Annotated[int, typer.Option(min=1, max=1000, help="Number of trials in all.")],
+    as_json: JsonFlag = False,
+) -> None:
+    """Give a study more trials; one that has ended runs again."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = client.post(f"/studies/{find_study(client, study)['id']}/extend", {"trials": trials})
+    if as_json:
+        context.json(found)
+    else:
+        context.out.print(f"{found['id']}: {found['state']}, {trials} trials", markup=False)
+
+
+@app.command("ask")
+def ask_for_trial(
+    ctx: typer.Context,
+    study: Reference,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write the training as a job file.", dir_okay=False),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Take a trial of a study started with `naoctl tune --elsewhere`.
+
+    `naosprint train --spec FILE` runs the training that it stands for, on a machine without a worker.
+    """
+    context = context_of(ctx)
+    with context.client() as client:
+        trial = client.post(f"/studies/{find_study(client, study)['id']}/ask")
+    if output:
+        output.write_text(json.dumps({"spec": trial["spec"]}, indent=2) + "\n", encoding="utf-8")
+    if as_json:
+        context.json(trial)
+        return
+    context.out.print(f"Trial {trial['number']}", markup=False)
+    context.out.print(pairs([(name, _short(value)) for name, value in trial["params"].items()]))
+    context.note(f"Report its values with: naoctl study tell {study} {trial['number']} VALUE")
+
+
+@app.command("tell")
+def tell_trial(
+    ctx: typer.Context,
+    study: Reference,
+    number: Annotated[int, typer.Argument(metavar="TRIAL", min=0, help="Number of the trial.")],
+    values: Annotated[
+        list[float] | None, typer.Argument(metavar="[VALUE...]", help="Values, in the order of the objectives.")
+    ] = None,
+    error: Annotated[
+        str | None, typer.Option("--failed", metavar="REASON", help="It has no values, for this reason.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Report the values of a trial that has run elsewhere."""
+    context = context_of(ctx)
+    if bool(values) == bool(error):
+        raise InvalidInput("Expected the values of the trial, or --failed REASON", fix="Give one of them.")
+    with context.client() as client:
+        path = f"/studies/{find_study(client, study)['id']}/trials/{number}/tell"
+        trial = client.post(path, {"error": error} if error else {"values": values})
+    if as_json:
+        context.json(trial)
+    else:
+        context.out.print(f"Trial {number}: reported", markup=False)
 
 
 @app.command("cancel")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, BackgroundTasks, Query, Response
+from fastapi import APIRouter, BackgroundTasks, Depends, Query, Response
 from naojobs import requests, submission
 from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
@@ -52,8 +52,6 @@ SUBMIT = responses(401, 403, 409, 413, 422, 429, 503)
 
 Text200 = Annotated[str | None, Query(max_length=200, pattern=PLAIN)]
 
-_SEARCH = "Part of the name, of a tag, of the task's or the robot's name, or the beginning or end of the id."
-
 
 def job_filter(
     principal: Reader,
@@ -62,14 +60,18 @@ def job_filter(
     owner: Annotated[
         str | None, Query(max_length=200, pattern=PLAIN, description="Jobs of this owner; others' need scope admin.")
     ] = None,
-    group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
+    group: Annotated[
+        str | None, Query(pattern=PATTERN, description="Jobs of this group, or of the study with this id.")
+    ] = None,
     parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
+    task: Annotated[str | None, Query(max_length=100, pattern=PLAIN, description="Jobs of this task.")] = None,
+    robot: Annotated[str | None, Query(max_length=100, pattern=PLAIN, description="Jobs of this robot.")] = None,
     q: Annotated[
         str | None,
         Query(
             max_length=200,
             pattern=PLAIN,
-            description=_SEARCH,
+            description="Part of the name, of a tag, of the task or the robot, or the beginning or end of the id.",
         ),
     ] = None,
 ) -> queries.JobFilter:
@@ -81,7 +83,15 @@ def job_filter(
     # A tag that no job can have matches nothing, without an error.
     tags = [item for item in tag if "\x00" not in item]
     return queries.JobFilter(
-        states=state, tags=tags, owner=owner, group=group, parent=parent, text=q, job_id=principal.job_id
+        states=state,
+        tags=tags,
+        owner=owner,
+        group=group,
+        parent=parent,
+        task=task,
+        robot=robot,
+        text=q,
+        job_id=principal.job_id,
     )
 
 
@@ -153,28 +163,12 @@ def submit_group(
 
 @router.get("/jobs", responses={**LIST, **responses(404)})
 def list_jobs(
-    principal: Reader,
+    wanted: Annotated[queries.JobFilter, Depends(job_filter)],
     service: ServiceDep,
-    state: Annotated[list[WorkState], Query(description="Any of these states.")] = [],  # noqa: B006
-    tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
-    owner: Annotated[
-        str | None, Query(max_length=200, pattern=PLAIN, description="Jobs of this owner; others' need scope admin.")
-    ] = None,
-    group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
-    parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
-    q: Annotated[
-        str | None,
-        Query(
-            max_length=200,
-            pattern=PLAIN,
-            description=_SEARCH,
-        ),
-    ] = None,
     limit: PageLimit = 50,
     cursor: Cursor = None,
 ) -> JobPage:
     """List jobs, newest first."""
-    wanted = job_filter(principal, state, tag, owner, group, parent, q)
     rows = queries.list_jobs(service.reads, wanted, limit=limit + 1, before=cursor)
     return JobPage.of(service.show_jobs(rows), limit)
 

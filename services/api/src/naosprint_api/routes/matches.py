@@ -10,11 +10,12 @@ from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Match
 from naojobs.store import StoreManifest
-from naojobs.tokens import Principal, Scope
+from naojobs.tokens import Principal
 
 from naosprint_api import queries
 from naosprint_api.dependencies import (
     MAX_BIGINT,
+    Admin,
     CountedRoute,
     Cursor,
     IdempotencyKey,
@@ -22,7 +23,6 @@ from naosprint_api.dependencies import (
     Reader,
     ServiceDep,
     Submitter,
-    needs,
 )
 from naosprint_api.downloads import send_file
 from naosprint_api.patterns import PLAIN, POLICY
@@ -51,7 +51,6 @@ MatchId = Annotated[str, Path(pattern=PATTERN, description="Id of the match.")]
 GameNumber = Annotated[int, Path(ge=1, le=matches.MAX_GAMES, description="Number of the game.")]
 Owner = Annotated[str | None, Query(max_length=200, pattern=PLAIN, description="Owner; others need scope admin.")]
 TeamName = Annotated[str, Path(pattern=POLICY, description="Name of the team.")]
-Administrator = Annotated[Principal, Depends(needs(Scope.ADMIN))]
 
 
 def _owner(principal: Principal, owner: str | None) -> str | None:
@@ -218,7 +217,7 @@ def list_teams(
 )
 def upload_team(
     name: TeamName,
-    principal: Administrator,
+    principal: Admin,
     service: ServiceDep,
     data: Annotated[bytes, Depends(_archive)],
     owner: Owner = None,

@@ -16,7 +16,16 @@ from naosprint_api import queries
 from naosprint_api.dependencies import CountedRoute, Cursor, IdempotencyKey, PageLimit, Reader, ServiceDep, Submitter
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
-from naosprint_api.schemas import StudyCreate, StudyDetails, StudyPage, StudyPublic, TrialPublic
+from naosprint_api.schemas import (
+    StudyCreate,
+    StudyDetails,
+    StudyExtend,
+    StudyPage,
+    StudyPublic,
+    TrialAsked,
+    TrialPublic,
+    TrialTell,
+)
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["studies"], route_class=CountedRoute)
@@ -63,6 +72,7 @@ def submit_study(
         owner=principal.owner,
         idempotency_key=idempotency_key,
         limits=service.settings.limits,
+        see_all=principal.is_admin,
     )
     if not created:
         response.status_code = 200
@@ -101,6 +111,37 @@ def cancel_study(study_id: StudyId, principal: Submitter, service: ServiceDep) -
     """Cancel a study and its open jobs."""
     queries.visible_study(service.reads, principal, study_id)
     return _details(service, studies.cancel_study(service.sessions, study_id))
+
+
+@router.post("/studies/{study_id}/extend", responses={**CONTROL, **responses(413)})
+def extend_study(study_id: StudyId, body: StudyExtend, principal: Submitter, service: ServiceDep) -> StudyDetails:
+    """Give a study more trials; one that has ended runs again, with what its sampler has learned."""
+    queries.visible_study(service.reads, principal, study_id)
+    extended = studies.extend_study(service.sessions, study_id, body.trials, limits=service.settings.limits)
+    return _details(service, extended)
+
+
+@router.post("/studies/{study_id}/ask", responses=CONTROL)
+def ask_for_trial(study_id: StudyId, principal: Submitter, service: ServiceDep) -> TrialAsked:
+    """Take a trial of a study whose trials run elsewhere; 409 while none waits to be taken."""
+    queries.visible_study(service.reads, principal, study_id)
+    trial, job = studies.ask(service.sessions, study_id)
+    spec = job.spec.model_dump(mode="json")
+    return TrialAsked(**TrialPublic.model_validate(trial).model_dump(), spec=spec)
+
+
+@router.post("/studies/{study_id}/trials/{number}/tell", responses={**CONTROL, **responses(413)})
+def tell_trial(
+    study_id: StudyId,
+    number: Annotated[int, Path(ge=0, le=100_000, description="Number of the trial.")],
+    body: TrialTell,
+    principal: Submitter,
+    service: ServiceDep,
+) -> TrialPublic:
+    """Report the values of a trial that has run elsewhere, or why it has none."""
+    queries.visible_study(service.reads, principal, study_id)
+    told = studies.tell(service.sessions, study_id, number, values=body.values, error=body.error)
+    return TrialPublic.model_validate(told)
 
 
 @router.delete("/studies/{study_id}", status_code=204, responses=CONTROL)

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+from datetime import date
 from typing import Annotated, Literal
 
 from anyio import to_thread
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials
-from naojobs import registry
+from naojobs import registry, usage
+from naojobs.errors import NotFoundError
 from naojobs.tokens import Scope
 from pydantic import BaseModel, Field
 
 from naosprint_api import __version__
-from naosprint_api.dependencies import CountedRoute, PageLimit, Reader, ServiceDep, authenticate, require, service_of
+from naosprint_api.dependencies import (
+    Admin,
+    CountedRoute,
+    PageLimit,
+    Reader,
+    ServiceDep,
+    authenticate,
+    require,
+    service_of,
+)
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
-from naosprint_api.schemas import WorkerPage
+from naosprint_api.schemas import UsagePublic, WorkerDrain, WorkerPage, WorkerPublic
+from naosprint_api.service import Service
 from naosprint_api.views import worker_view
 
 router = APIRouter(tags=["service"], route_class=CountedRoute)
@@ -117,3 +129,45 @@ def list_workers(
     rows = registry.workers(service.reads, stale_s=service.settings.lease_s, limit=limit + 1, after=cursor)
     mine = None if principal.is_admin else registry.leased_of(service.reads, principal.owner)
     return WorkerPage.of([worker_view(worker, mine) for worker in rows], limit)
+
+
+WorkerId = Annotated[str, Path(max_length=200, pattern=PLAIN, description="Id of the worker.")]
+CHANGE = responses(401, 403, 404, 422, 429, 503)
+
+
+@router.post("/workers/{worker_id}/drain", responses={**CHANGE, **responses(413)})
+def drain_worker(worker_id: WorkerId, body: WorkerDrain, _: Admin, service: ServiceDep) -> WorkerPublic:
+    """Keep a worker from claiming work, for maintenance; what it runs ends there, or trainings continue elsewhere."""
+    registry.drain(service.sessions, worker_id, requeue=body.requeue)
+    return _worker(service, worker_id)
+
+
+@router.post("/workers/{worker_id}/undrain", responses=CHANGE)
+def undrain_worker(worker_id: WorkerId, _: Admin, service: ServiceDep) -> WorkerPublic:
+    """Allow a drained worker to claim work again."""
+    registry.undrain(service.sessions, worker_id)
+    return _worker(service, worker_id)
+
+
+def _worker(service: Service, worker_id: str) -> WorkerPublic:
+    found = registry.workers(service.reads, stale_s=service.settings.lease_s, only=worker_id)
+    return worker_view(found[0])
+
+
+@router.get("/usage", responses=responses(401, 403, 404, 422, 429, 503))
+def get_usage(
+    principal: Reader,
+    service: ServiceDep,
+    since: Annotated[date | None, Query(description="First day (UTC).")] = None,
+    until: Annotated[date | None, Query(description="Last day (UTC).")] = None,
+    owner: Annotated[
+        str | None, Query(max_length=200, pattern=PLAIN, description="This owner only; others need scope admin.")
+    ] = None,
+) -> list[UsagePublic]:
+    """Get what the work of each owner has used of the workers, the most first; deleted work counts, too."""
+    if not principal.is_admin:
+        if owner is not None and owner != principal.owner:
+            raise NotFoundError(f"no usage of {owner} that this token may see; leave `owner` out")
+        owner = principal.owner if principal.job_id is None else ""  # a link to a job shows none
+    found = usage.usage_by_owner(service.reads, since=since, until=until, owner=owner)
+    return [UsagePublic.model_validate(item) for item in found]

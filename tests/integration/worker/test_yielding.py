@@ -1,0 +1,70 @@
+"""Trainings that make room: for urgent work, and on a worker that is drained; what they have used stays counted."""
+
+from __future__ import annotations
+
+import platform
+
+import torch
+from naojobs import registry, requests, usage
+from naojobs.capabilities import live_workers, waiting_reasons
+from naojobs.models import Job
+from naojobs.states import WorkState
+
+from .conftest import ROLLOUT, Service, WorkerProcess
+from .test_jobs import assert_metrics_whole
+
+
+def test_a_training_makes_room_for_an_urgent_one_and_resumes_from_the_same_step(
+    service: Service, worker: WorkerProcess
+) -> None:
+    low = service.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=10**9, priority=4)
+    service.until_step(low, ROLLOUT * 4)
+    equal = service.submit(evaluate=False, total_steps=ROLLOUT * 4, priority=6)
+    urgent = service.submit(evaluate=False, total_steps=ROLLOUT * 4, priority=7)
+    service.until_state(urgent, WorkState.SUCCEEDED)
+    steps = service.shorten(low)
+    job = service.until_state(low, WorkState.SUCCEEDED)
+    assert (job.attempt, job.failures, job.progress_step) == (2, 0, steps)
+    asked = [event for event in service.events(low) if event.kind == "requeue_requested"]
+    assert [event.data["for"] for event in asked] == [urgent]  # the other one is not urgent enough
+    at = service.checkpoints(low)[0].step
+    resumed = next(event for event in service.events(low) if event.kind == "resumed")
+    assert resumed.data["step"] == at > 0
+    assert_metrics_whole(service, low)
+    assert service.job(equal).attempt == 1
+
+
+def test_a_drained_worker_hands_its_training_to_another(service: Service, worker: WorkerProcess) -> None:
+    job_id = service.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=10**9)
+    service.until_step(job_id, ROLLOUT * 4)
+    first = str(service.job(job_id).lease_owner)
+    registry.drain(service.sessions, first, requeue=True)
+    service.until(lambda: service.job(job_id).state is WorkState.QUEUED, what="for the training to be requeued")
+    service.shorten(job_id)
+    with service.sessions() as session:
+        workers = live_workers(session, stale_s=30)
+        assert waiting_reasons(session, [session.get_one(Job, job_id)], workers) == {job_id: "all workers are drained"}
+    service.start_worker()
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
+    (claims,) = ([event.data["worker"] for event in service.events(job_id) if event.kind == "claimed"],)
+    assert claims[0] == first != claims[1]
+    assert (job.failures, worker.process.poll()) == (0, None)
+    assert_metrics_whole(service, job_id)
+    registry.undrain(service.sessions, first)
+    (status,) = registry.workers(service.sessions, only=first)
+    assert status.row.drained_at is None
+
+
+def test_what_a_training_uses_and_runs_with_is_recorded(service: Service, worker: WorkerProcess) -> None:
+    job_id = service.submit(evaluate=False, total_steps=10**9)
+    service.until_step(job_id, ROLLOUT * 8)
+    requests.request_cancel(service.sessions, Job, job_id)
+    job = service.until_state(job_id, WorkState.CANCELLED)
+    assert job.software["python"] == platform.python_version()
+    assert job.software["torch"] == str(torch.__version__)
+    assert {"naosprint", "naosim", "numpy", "mujoco"} <= job.software.keys()
+    requests.delete(service.sessions, job_id)
+    (used,) = usage.usage_by_owner(service.sessions)
+    assert used.owner == "tester"
+    assert used.cpu_s > 0.1
+    assert used.run_s > 0.1
