@@ -321,7 +321,7 @@ def _requested(model: type[AnyWork]) -> tuple[ColumnElement[Any], ...]:
 def _requests(lease: Lease, row: Row[Any] | None) -> Requests:
     if row is None:
         raise lost(lease)
-    state, cancel, requeue = row
+    state, cancel, requeue = tuple(row)
     return Requests(state, cancel=cancel, requeue=requeue)
 
 
