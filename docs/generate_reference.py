@@ -210,7 +210,7 @@ def _specification() -> Iterator[str]:
         yield from _table(("Setting", *(_code(name) for name in shown)), rows)
     yield "\n## Recipes\n"
     yield "Tested jobs, for `naoctl submit --recipe NAME`.\n"
-    yield from _table(("Recipe", "Meaning"), [(_code(name), _cell(recipes.summary(name))) for name in recipes.names()])
+    yield from _table(("Recipe", "Robot", "Task", "Starts from", "Steps", "Meaning"), map(_recipe, recipes.names()))
 
 
 def _about(group: str, name: str) -> str:
@@ -253,6 +253,16 @@ def _fields(model: type[BaseModel]) -> Iterator[str]:
         default = _value(part.get("default", field.default)) if not field.default_factory else "see below"
         rows.append((_code(name), _type(part), default, _cell(f"{field.description}{unit}")))
     yield from _table(("Field", "Values", "Default", "Meaning"), rows)
+
+
+def _recipe(name: str) -> tuple[str, ...]:
+    """Return the row of a recipe."""
+    job = recipes.job(name)
+    spec = TrainingSpec.model_validate(job["spec"])
+    start = job.get("parent_policy")
+    steps = f"{spec.planned_steps / 1e6:.1f} million"
+    kind = (_code(spec.robot.name), _code(spec.task.name), _code(start) if start else "nothing", steps)
+    return (_code(name), *kind, _cell(recipes.summary(name)))
 
 
 def _type(part: dict[str, Any]) -> str:
