@@ -210,7 +210,9 @@ def _specification() -> Iterator[str]:
         yield from _table(("Setting", *(_code(name) for name in shown)), rows)
     yield "\n## Recipes\n"
     yield "Tested jobs, for `naoctl submit --recipe NAME`.\n"
-    yield from _table(("Recipe", "Robot", "Task", "Starts from", "Steps", "Meaning"), map(_recipe, recipes.names()))
+    yield from _table(
+        ("Recipe", "Robot", "Task", "Starts from", "Steps", "Meaning"), [_recipe(name) for name in recipes.names()]
+    )
 
 
 def _about(group: str, name: str) -> str:
