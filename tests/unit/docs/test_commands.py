@@ -57,6 +57,8 @@ ComposeLoader.add_constructor("!reset", lambda *_: None)
 def check_naoctl(words: list[str]) -> None:
     name, command = "naoctl", documents.naoctl()
     while hasattr(command, "commands"):
+        if command.invoke_without_command and (not words or words[0].startswith("-")):
+            break
         name = words.pop(0)
         if name == "--url":  # in front of the command
             words.pop(0)
