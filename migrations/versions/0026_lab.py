@@ -1,7 +1,7 @@
 """Draining of workers, preemption, software of jobs, use by owner, extended studies, trials that run elsewhere.
 
-Revision: 0025
-Revises: 0024
+Revision: 0026
+Revises: 0025
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import sqlalchemy as sa
 from alembic import op
 from sqlalchemy.dialects import postgresql
 
-revision = "0025"
-down_revision = "0024"
+revision = "0026"
+down_revision = "0025"
 branch_labels = None
 depends_on = None
 
