@@ -7,7 +7,8 @@ import numpy as np
 from naosprint.export import export_policy
 
 export_policy(naopolicies.folder("sprint"), Path("exported"), ["numpy"])
-policy = np.load("exported/policy.npz")
+with np.load("exported/policy.npz") as arrays:
+    policy = dict(arrays)
 
 
 def targets(observations: np.ndarray) -> np.ndarray:
