@@ -75,8 +75,8 @@ def test_a_job_whose_stages_have_candidates_is_listed_and_shown(
         assert "specifications this one cannot read; use a newer job" in problem(answer, 422)["detail"]
 
 
-def test_an_empty_object_is_a_job_of_defaults(client: httpx.Client) -> None:
-    job = submit(client)
+def test_an_empty_object_is_a_job_of_defaults(make_client: Callable[..., httpx.Client]) -> None:
+    job = submit(make_client("dora", "submit"))
     assert (job["name"], job["spec"]["algorithm"]["preset"], job["priority"]) == ("sprint1-fast-0", "fast", 5)
 
 

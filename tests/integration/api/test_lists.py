@@ -16,8 +16,8 @@ from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 from sqlalchemy.orm import Session, sessionmaker
 
-CATALOG = {"/tasks", "/algorithms", "/robots", "/simulators", "/presets", "/recipes", "/league"}
-"""What is installed with the service, not what users make; and a ranking, which is one whole."""
+CATALOG = {"/tasks", "/algorithms", "/robots", "/simulators", "/presets", "/recipes", "/league", "/usage"}
+"""What is installed with the service, not what users make; and a ranking and a sum by owner, each one whole."""
 COUNT = 5
 
 

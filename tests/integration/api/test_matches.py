@@ -147,7 +147,7 @@ def test_a_match_survives_its_worker_and_keeps_the_games_that_are_over(
         (tmp_path / each["film"]["name"]).write_bytes(film.content)
         pictures, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / each["film"]["name"]))
         assert (pictures, seconds) == (len(logs[-1].mode), pytest.approx(0.04 * len(logs[-1].mode), abs=0.1))
-    history = client.get(f"/matches/{made['id']}/events").raise_for_status().json()
+    history = client.get(f"/matches/{made['id']}/events").raise_for_status().json()["items"]
     assert [each["kind"] for each in history if each["kind"] not in ("info", "warning")][:3] == [
         *("queued", "claimed", "running"),
     ]
@@ -155,7 +155,8 @@ def test_a_match_survives_its_worker_and_keeps_the_games_that_are_over(
     lines = [each["message"] for each in history if each["kind"] == "info"]
     for each in ended["finished"]:
         assert f"game {each['number']} ended {each['goals'][0]}:{each['goals'][1]}" in lines
-    assert client.get(f"/matches/{made['id']}/events", params={"after": history[-2]["id"]}).json() == history[-1:]
+    last = client.get(f"/matches/{made['id']}/events", params={"after": history[-2]["id"]}).json()
+    assert last == {"items": history[-1:], "next_after": history[-1]["id"]}
     # both agents were confined, and the same numbers come from the logs again
     assert {"files", "TCP"} <= set(logs[0].notes["halves"][0]["enforced"])
     assert json.loads(json.dumps(match_results(logs))) == ended["summary"]

@@ -358,5 +358,5 @@ def test_a_worker_leaves_work_that_it_cannot_run_to_others(service: Service) -> 
     }  # what this kernel can confine
     assert MATCH_TASK in matches
     assert worker.tasks == dict.fromkeys((*plugins.names(plugins.TASKS), *matches), 1)
-    assert (worker.robots, worker.simulators) == (list(plugins.names(plugins.ROBOTS)), ["embedded"])
+    assert (worker.robots, worker.simulators) == (list(plugins.names(plugins.ROBOTS)), ["embedded", "match"])
     assert reasons == {newer: "no worker has task 'sprint2' version 2 (workers have version 1)"}

@@ -456,6 +456,13 @@ class MatchEventPublic(_Public):
     message: str
 
 
+class MatchEventPage(BaseModel):
+    """Page of a match's history, oldest first."""
+
+    items: list[MatchEventPublic]
+    next_after: int | None = Field(description="Value of `after` for the next page; null if the page is empty.")
+
+
 class MatchPublic(BaseModel):
     """Match of two teams."""
 

@@ -233,7 +233,7 @@ def show_log(ctx: typer.Context, match: Reference = "last", as_json: JsonFlag = 
     with context.client() as client:
         path = f"/matches/{find_match(client, match)['id']}/events"
         found: list[dict[str, Any]] = []
-        while page := client.get(path, limit=200, after=found[-1]["id"] if found else None):
+        while page := client.get(path, limit=200, after=found[-1]["id"] if found else None)["items"]:
             found += page
     if as_json:
         context.json(found)

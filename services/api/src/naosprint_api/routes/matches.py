@@ -32,6 +32,7 @@ from naosprint_api.routes.jobs import require_space
 from naosprint_api.schemas import (
     MatchCreate,
     MatchDetails,
+    MatchEventPage,
     MatchEventPublic,
     MatchPage,
     MatchPublic,
@@ -161,11 +162,12 @@ def list_match_events(
     after: Annotated[
         int | None, Query(ge=0, le=MAX_BIGINT, description="Id of an event; later ones are listed.")
     ] = None,
-) -> list[MatchEventPublic]:
+) -> MatchEventPage:
     """List the history of a match and the lines of its log, oldest first."""
     queries.visible_match(service.reads, principal, match_id)
     rows = matches.events_of(service.reads, match_id, limit=limit, after=after)
-    return [MatchEventPublic.model_validate(row) for row in rows]
+    items = [MatchEventPublic.model_validate(row) for row in rows]
+    return MatchEventPage(items=items, next_after=items[-1].id if items else None)
 
 
 @router.post("/matches/{match_id}/cancel", responses=_CONTROL)

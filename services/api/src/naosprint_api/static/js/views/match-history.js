@@ -29,7 +29,7 @@ export class MatchHistory {
     try {
       for (;;) {
         const path = `${this.path}${query({ limit: PAGE, after: this.last })}`;
-        const events = await call(path, { signal: this.signal });
+        const { items: events } = await call(path, { signal: this.signal });
         for (const event of events) this.#add(event);
         if (events.length < PAGE) break;
       }
