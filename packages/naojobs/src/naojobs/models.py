@@ -475,7 +475,7 @@ class Trial(Base):
     values: Mapped[list[float] | None] = mapped_column(ARRAY(Double))
     """Values of the objectives, in their order; null until it is complete or they are reported from elsewhere."""
     asked_at: Mapped[datetime | None]
-    """When somebody took it to run it elsewhere; null if nobody did."""
+    """When a client took it to run it elsewhere; null before."""
     error: Mapped[str | None]
     """Why it was pruned or has failed."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())

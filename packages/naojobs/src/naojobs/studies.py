@@ -287,8 +287,8 @@ def tell(
 
     A worker hands them to the sampler within seconds; the same report again changes nothing.
 
-    Raises NotFoundError, InvalidError for another number of values, and ConflictError if its trials are jobs, if nobody
-    has taken the trial, or if something else was reported.
+    Raises NotFoundError, InvalidError for another number of values, and ConflictError if the study's trials are jobs,
+    if the trial is not taken, or if other values were reported.
     """
     with sessions.begin() as session:
         study = _elsewhere(session, study_id)
@@ -303,7 +303,7 @@ def tell(
         if reported and (trial.values, trial.error) != (None if values is None else list(values), error):
             raise ConflictError(f"trial {number} was reported already")
         if trial.asked_at is None:
-            raise ConflictError(f"nobody has taken trial {number}; ask for it first")
+            raise ConflictError(f"trial {number} is not taken; ask for it first")
         if not reported:
             trial.values, trial.error = None if values is None else list(values), error
         session.flush()

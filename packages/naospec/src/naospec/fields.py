@@ -52,7 +52,7 @@ class Stage(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_candidates(cls, data: Any) -> Any:
+    def _refuse_candidates(cls, data: object) -> object:
         if isinstance(data, dict) and "candidates" in data:
             error = PydanticCustomError("replaced_setting", "{words}", {"words": CANDIDATES_ARE_STUDIES})
             details = InitErrorDetails(type=error, loc=("candidates",), input=data["candidates"])

@@ -40,6 +40,7 @@ from naosprint_api.schemas import (
     TeamPage,
     TeamPublic,
 )
+from naosprint_api.service import Service
 from naosprint_api.views import match_details
 
 router = APIRouter(tags=["matches"], route_class=CountedRoute)
@@ -127,11 +128,7 @@ def get_game_log(
     presigned: Presigned = False,
 ) -> Response:
     """Download the log of a game; `naoctl match report` computes its results again."""
-    queries.visible_match(service.reads, principal, match_id)
-    game = queries.game(service.reads, match_id, number)
-    manifest = StoreManifest.model_validate(game.manifest)
-    name = next(file.name for file in manifest.files if file.name.endswith(".npz"))
-    return send_file(request, service.store, service.store_threads, game.key, manifest, name, presigned=presigned)
+    return _send(request, service, principal, match_id, number, ".npz", presigned=presigned)
 
 
 @router.get("/matches/{match_id}/games/{number}/film", response_class=Response, responses=FILE)
@@ -144,13 +141,27 @@ def get_game_film(
     presigned: Presigned = False,
 ) -> Response:
     """Download the film of a game (MP4)."""
+    return _send(request, service, principal, match_id, number, ".mp4", presigned=presigned)
+
+
+def _send(
+    request: Request,
+    service: Service,
+    principal: Principal,
+    match_id: str,
+    number: int,
+    suffix: str,
+    *,
+    presigned: bool,
+) -> Response:
+    """Return a game's file with this suffix."""
     queries.visible_match(service.reads, principal, match_id)
     game = queries.game(service.reads, match_id, number)
     manifest = StoreManifest.model_validate(game.manifest)
-    film = [file.name for file in manifest.files if file.name.endswith(".mp4")]
-    if not film:
-        raise NotFoundError(f"game {number} of match {match_id} has no film")
-    return send_file(request, service.store, service.store_threads, game.key, manifest, film[0], presigned=presigned)
+    name = next((file.name for file in manifest.files if file.name.endswith(suffix)), None)
+    if name is None:
+        raise NotFoundError(f"game {number} of match {match_id} has no {suffix[1:]} file")
+    return send_file(request, service.store, service.store_threads, game.key, manifest, name, presigned=presigned)
 
 
 @router.get("/matches/{match_id}/events", responses=_LIST)
