@@ -42,7 +42,15 @@ def test_training_takes_its_steps_and_reports(make_spec: Make, tmp_path: Path, r
     assert read_manifest(result.checkpoint).steps == 2048
     documented = {metric.name for metric in columns(spec)}
     # a NAO has one embedded engine and no servers, there are no stages, and a worker measures the processes
-    elsewhere = {"server_failures", "stage", "cpus", "memory_mb", "left_to_mujoco", "disturbance_strength"}
+    elsewhere = {
+        "server_failures",
+        "stage",
+        "cpus",
+        "memory_mb",
+        "left_to_mujoco",
+        "disturbance_strength",
+        "task_growth",
+    }
     assert recorder.rows[-1].keys() == documented - elsewhere - {metric.name for metric in ENGINES}
     assert all(0 < row["simulator_s"] < row["collect_s"] for row in recorder.rows)
     for row in recorder.rows:

@@ -11,12 +11,13 @@ from naosim.mujoco.embedded import MujocoSimulator
 from naosim.robots import Robot
 from naosim.robots.booster import K1, T1
 from naosim.simulator import CONTACT_N, STEP_S
+from naospec import EvaluationSpec, TrainingSpec
+from naosprint.tasks.commands import FIRST_RANGE, SETTLING_S
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.velocity import (
     FLIGHT_SPEED_MPS,
     OFFSET_LIMIT_M,
-    SETTLING_S,
     TRACKING_SCALE,
     Velocity,
     VelocitySettings,
@@ -78,6 +79,65 @@ def test_commands_are_drawn_from_the_ranges() -> None:
     np.testing.assert_allclose(moving.mean(axis=0), (low + high) / 2, atol=0.05)
     straight = task_of(environment_of(256, straight_fraction=0.5)).command
     assert ((straight[:, 1:] == 0.0).all(axis=1)).mean() == pytest.approx(0.5, abs=0.1)
+
+
+def test_combined_commands_can_stay_within_an_ellipsoid() -> None:
+    limits = {"forward_min_mps": -1.0, "forward_max_mps": 3.0, "sideways_max_mps": 1.0, "turn_max_rad_s": 2.0}
+    free = task_of(environment_of(512, **limits)).command
+    within = task_of(environment_of(512, command_ellipsoid=True, **limits)).command
+
+    def lengths(command: np.ndarray) -> np.ndarray:
+        ahead = np.where(command[:, 0] > 0.0, command[:, 0] / 3.0, command[:, 0] / -1.0)
+        return np.asarray(np.sqrt(ahead**2 + command[:, 1] ** 2 + (command[:, 2] / 2.0) ** 2))
+
+    assert lengths(free).max() > 1.3
+    np.testing.assert_allclose(lengths(within), np.minimum(lengths(free), 1.0), rtol=1e-12)
+    np.testing.assert_allclose(within * np.maximum(lengths(free), 1.0)[:, None], free, rtol=1e-12)
+    flat = task_of(environment_of(64, command_ellipsoid=True, **{**limits, "turn_max_rad_s": 0.0})).command
+    assert np.isfinite(flat).all() and (flat[:, 2] == 0.0).all()
+
+
+def test_the_range_of_commands_grows_with_those_that_are_followed() -> None:
+    """A robot that stands still follows slow commands only; nothing grows in an evaluation."""
+    whole = {"forward_min_mps": 0.0, "forward_max_mps": 1.0, "sideways_max_mps": 0.0, "turn_max_rad_s": 0.0}
+    growing = {**whole, "command_growth": 0.25, "command_error_mps": 0.2, "command_steps": 60}
+    environment = environment_of(32, **growing)
+    task, nowhere = task_of(environment), np.zeros((32, environment.actuation.n_actions))
+    assert task.growth == 0.0 and task.command[:, 0].max() <= FIRST_RANGE
+    assert task_of(environment_of(1)).growth is None
+    steps, error, up = np.zeros(32), np.zeros(32), np.ones(32, dtype=np.bool_)
+    followed = missed = 0
+    for _ in range(200):
+        command, before = task.command[:, 0].copy(), task.arrays["grown"].copy()
+        environment.step(nowhere)
+        steps, up = steps + 1, up & ~environment.ends["fallen"]
+        error += 0.04 * (np.hypot(task.velocity[:, 0] - command, task.velocity[:, 1]) - error)
+        renewed, change = up & (task.command[:, 0] != command), task.arrays["grown"] - before
+        rated = renewed & (steps >= SETTLING_S / STEP_S)
+        good, bad = rated & (error < 0.2), rated & (error > 0.2)
+        np.testing.assert_array_equal(change[good], np.minimum(0.25, 1.0 - before[good]))
+        np.testing.assert_array_equal(change[bad], -np.minimum(0.25, before[bad]))
+        assert (change[up & ~rated] == 0.0).all()
+        scale = FIRST_RANGE + (1.0 - FIRST_RANGE) * task.arrays["grown"]
+        assert (task.command[:, 0] <= scale)[renewed].all()
+        followed, missed = followed + good.sum(), missed + bad.sum()
+        steps[task.command[:, 0] != command] = 0
+    assert followed and missed and 0.0 < task.growth < 1.0
+    fall = nowhere.copy()
+    fall[0] = 1.0
+    before = np.maximum(task.arrays["grown"], 0.5)
+    task.arrays["grown"][:] = before
+    environment.restart(np.arange(32), np.zeros(32, dtype=np.int64))
+    task.arrays["command_steps"][:] = -1000  # no command is rated any more
+    environment.step(fall)
+    while not environment.terminated[0]:
+        environment.step(fall)
+    assert task.arrays["grown"][0] == before[0] - 0.25
+    trained = TrainingSpec.model_validate(
+        {"task": {"name": "velocity", "command_growth": 0.1, "command_ellipsoid": True}, "robot": "t1"}
+    )
+    evaluated = EvaluationSpec().applied_to(trained).task
+    assert (evaluated.command_growth, evaluated.command_ellipsoid) == (0.0, True)
 
 
 def test_commands_depend_on_the_seed_and_on_nothing_that_other_robots_do() -> None:
@@ -196,15 +256,16 @@ def test_a_fall_ends_the_episode_and_the_time_limit_truncates_it() -> None:
     assert error == pytest.approx(np.hypot(*task_of(environment).command[0, :2]), abs=0.3)
 
 
+@pytest.mark.parametrize("growth", [0.0, 0.25])
 @pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
-def test_a_resumed_environment_continues_bit_for_bit(robot: Robot) -> None:
+def test_a_resumed_environment_continues_bit_for_bit(robot: Robot, growth: float) -> None:
     """From its state alone: commands, path, delayed actions and physics."""
-    environment = environment_of(3, robot=robot)
+    environment = environment_of(3, robot=robot, command_growth=growth)
     actions = gentle(environment, 60)
     for action in actions[:25]:
         environment.step(action)
     state = environment.state()
-    resumed = environment_of(3, robot=robot)
+    resumed = environment_of(3, robot=robot, command_growth=growth)
     resumed.load_state({name: array.copy() for name, array in state.items()})
     for action in actions[25:]:
         np.testing.assert_array_equal(resumed.step(action), environment.step(action))

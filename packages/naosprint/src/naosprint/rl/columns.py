@@ -25,6 +25,15 @@ PROGRESS: tuple[Metric, ...] = (
         0,
         kind="rate",
     ),
+    Metric(
+        "task_growth",
+        "Growth of the task",
+        "%",
+        "How far what the task asks for has grown, as the range of commands (task.command_growth); only trainings in "
+        "which it grows.",
+        0,
+        kind="rate",
+    ),
 )
 """Metrics of a training's progress."""
 

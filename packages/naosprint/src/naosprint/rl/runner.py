@@ -462,9 +462,9 @@ class _Session:
         if simulator.failures or simulator.can_fail:
             row["server_failures"] = float(simulator.failures)
         row |= {name: float(count) for name, count in simulator.counters.items()}
-        strength = self.environment.environment.disturbances.strength
-        if strength is not None:
-            row["disturbance_strength"] = strength
+        environment = self.environment.environment
+        grown = {"disturbance_strength": environment.disturbances.strength, "task_growth": environment.task.growth}
+        row |= {name: value for name, value in grown.items() if value is not None}
         self._reporter.metrics(dict(self._finite(row)))
 
     def _finite(self, row: Mapping[str, float]) -> Iterator[tuple[str, float]]:

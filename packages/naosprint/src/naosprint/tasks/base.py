@@ -227,6 +227,11 @@ class Task(Plugin, Generic[Settings]):
         del rows
         return None
 
+    @property
+    def growth(self) -> float | None:
+        """How far what the task asks of the robots has grown, from 0 to 1; None if it does not grow."""
+        return None
+
     def measure(self, rows: IntArray) -> FloatArray:
         """Return the (k, M) live :attr:`metrics` of the episodes of the robots ``rows``, which have just ended."""
         return np.zeros((len(rows), 0))

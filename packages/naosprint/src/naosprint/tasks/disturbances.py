@@ -188,7 +188,11 @@ class DisturbanceSettings(TaskSettings):
 
     def for_evaluation(self) -> Self:
         """Return the same settings without disturbances."""
-        return self.model_copy(update={name: DisturbanceSettings.model_fields[name].default for name in _NAMES})
+        return (
+            super()
+            .for_evaluation()
+            .model_copy(update={name: DisturbanceSettings.model_fields[name].default for name in _NAMES})
+        )
 
 
 _NAMES = tuple(name for name in DisturbanceSettings.model_fields if name not in TaskSettings.model_fields)

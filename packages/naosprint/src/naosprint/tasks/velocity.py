@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from naosim.simulator import STEP_S
 from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm, Task
+from naosprint.tasks.commands import SETTLING_S, CommandGrowth, CommandSettings, commanded
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import StoredNumbers
@@ -61,9 +61,6 @@ OFFSET_LIMIT_M = 0.5
 
 SETTLED_S = 2.0
 """Time after which speed and error are measured in evaluations, seconds."""
-
-SETTLING_S = 1.0
-"""Time after a new command from which the settled error is measured in evaluations, seconds."""
 
 STOP_S, STOP_FROM_MPS, STOPPED_MPS = 1.5, 1.0, 0.3
 """Time within which a robot has to stop, s; command from which it has to, m/s; and speed of one that has, m/s."""
@@ -206,63 +203,9 @@ def _stops(trace: FloatArray, fallen: bool) -> Iterator[bool]:
             yield False
 
 
-class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings):
+class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, CommandSettings):
     """Settings of the task ``velocity``."""
 
-    forward_min_mps: float = Field(
-        default=-0.5,
-        ge=-5.0,
-        le=5.0,
-        title="Slowest forward",
-        description="Lower end of the commanded forward speed.",
-        json_schema_extra={"unit": "m/s"},
-    )
-    forward_max_mps: float = Field(
-        default=2.0,
-        ge=-5.0,
-        le=5.0,
-        title="Fastest forward",
-        description="Upper end of the commanded forward speed.",
-        json_schema_extra={"unit": "m/s"},
-    )
-    sideways_max_mps: float = Field(
-        default=0.5,
-        ge=0.0,
-        le=3.0,
-        title="Fastest sideways",
-        description="Largest commanded speed to either side.",
-        json_schema_extra={"unit": "m/s"},
-    )
-    turn_max_rad_s: float = Field(
-        default=1.0,
-        ge=0.0,
-        le=5.0,
-        title="Fastest turn",
-        description="Largest commanded turn rate in either direction.",
-        json_schema_extra={"unit": "rad/s"},
-    )
-    stand_fraction: float = Field(
-        default=0.1,
-        ge=0.0,
-        le=1.0,
-        title="Standing fraction",
-        description="Fraction of the commands that are to stand still.",
-    )
-    straight_fraction: float = Field(
-        default=0.3,
-        ge=0.0,
-        le=1.0,
-        title="Straight fraction",
-        description="Fraction of the moving commands without sideways speed and turning.",
-    )
-    command_steps: int = Field(
-        default=250,
-        ge=1,
-        le=100_000,
-        title="Command length",
-        description="Steps after which a new command is drawn, on average.",
-        json_schema_extra={"unit": "steps"},
-    )
     episode_steps: int = Field(
         default=1000,
         ge=10,
@@ -303,16 +246,6 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings):
         description="Penalty per step for the squared sine of the torso's tilt.",
     )
     fall_penalty: float = Field(default=0.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.forward_min_mps > self.forward_max_mps:
-            raise PydanticCustomError(
-                "range",
-                "forward_min_mps: {low} is above forward_max_mps, {high}; exchange them",
-                {"low": self.forward_min_mps, "high": self.forward_max_mps},
-            )
-        return self
 
 
 class Velocity(Task[VelocitySettings]):
@@ -400,6 +333,9 @@ class Velocity(Task[VelocitySettings]):
             "errors": self._errors,
             "advance": self._advance_m,
         }
+        self._growth = CommandGrowth(parameters, n) if parameters.command_growth else None
+        if self._growth:
+            self.arrays |= self._growth.arrays
         self.measurements = (StoredNumbers([*self._follow(parameters.min_height_m or 0.0), *self._redraw()]),)
         self.flags = (self._fallen,)
 
@@ -444,19 +380,13 @@ class Velocity(Task[VelocitySettings]):
         chance = uniform(self.seed + 1, streams, world.step + 100_003 * draws, 1)
         fresh = source(np.zeros(self.n, dtype=np.bool_))
         renewed = given("new_command", fresh)
-        drawn = uniform(self.seed, streams, draws, 5)
-        low, high = settings.forward_min_mps, settings.forward_max_mps
-        moving = stack(
-            low + (high - low) * drawn[0],
-            settings.sideways_max_mps * (2.0 * drawn[1] - 1.0),
-            settings.turn_max_rad_s * (2.0 * drawn[2] - 1.0),
-        )
-        straight = where(drawn[3] < settings.straight_fraction, stack(moving[0], 0.0, 0.0), moving)
-        target = given("command", where(drawn[4] < settings.stand_fraction, 0.0, straight))
+        scale = self._growth.scale if self._growth else None
+        target = given("command", commanded(settings, uniform(self.seed, streams, draws, 5), scale))
         yaw, zero = seen_yaw(world), constant(0.0)
         command, heading, offset = (self._stored(name) for name in ("command", "heading", "offset"))
         return [
             Store(fresh, update=chance < 1.0 / settings.command_steps),
+            *(self._growth.stores(command, source(self.velocity), fresh, source(self._fallen)) if self._growth else ()),
             Store(command, begin=target, update=where(renewed, target, command)),
             Store(heading, begin=yaw, update=where(renewed, yaw, heading)),
             Store(self._error, begin=zero, update=where(renewed, 0.0, self._error)),
@@ -506,6 +436,11 @@ class Velocity(Task[VelocitySettings]):
             RewardTerm("fall", -settings.fall_penalty, source(self._fallen)),
             *penalties(self.world, settings),
         )
+
+    @property
+    def growth(self) -> float | None:
+        """How far the range of commands has grown."""
+        return self._growth.mean if self._growth else None
 
     def measure(self, rows: IntArray) -> FloatArray:
         """Return mean velocity error, fall, and mean forward speed."""
