@@ -106,6 +106,30 @@ def test_the_list_filters_groups_and_keeps_views(browser: Browser, token: str, c
     assert not browser.all("[aria-label^='Delete view']")
 
 
+def test_any_jobs_are_plotted_by_settings_and_results(browser: Browser, token: str, client: httpx.Client) -> None:
+    for number, rate in enumerate((1e-4, 1e-3, 1e-2)):
+        job = {**WAITING, "spec": {**WAITING["spec"], "algorithm": {"learning_rate": rate}, "seed": number}}
+        assert client.post("/jobs", json={"name": f"rate-{number}", "tags": ["rates"], **job}).status_code == 201
+    park(client, "other")
+    browser.sign_in(token)
+    browser.open("/?tag=rates&plot=scatter&y=seed")
+    browser.until(lambda: len(browser.all("[data-part=plots] circle")) == 3, message="not a mark for each job")
+    texts = [e.text for e in browser.all("[data-part=plots] svg text")]
+    assert {"learning_rate", "seed", "0.001", "0.01"} <= set(texts)
+    assert browser.js("return document.querySelector('[data-part=plots] a title').textContent").startswith("rate-")
+    browser.find("[data-part=plots] select[aria-label='Color by']").send_keys("seed")
+    browser.until(lambda: len(browser.all("[data-part=plots] .legend span")) == 3, message="no legend")
+    next(e for e in browser.all("[data-part=plots] .segments button") if e.text.startswith("Parallel")).click()
+    browser.until(lambda: len(browser.all("[data-part=plots] path.plot-mark")) == 3, message="not a line for each job")
+    assert "plot=parallel" in browser.driver.current_url and "color=seed" in browser.driver.current_url
+    browser.find("[data-part=plots] select[aria-label='Add an axis']").send_keys("seed")
+    browser.until(lambda: "axes=" in browser.driver.current_url, message="the address has no axes")
+    assert browser.all("button[aria-label='Remove axis seed']")
+    ids = ",".join(job["id"] for job in client.get("/jobs").json()["items"])
+    browser.open(f"/compare?jobs={ids}")
+    browser.until(lambda: len(browser.all("[data-part=plots] circle")) == 4, message="no plot of the compared jobs")
+
+
 def test_the_basic_form_asks_for_what_most_jobs_need(browser: Browser, token: str, client: httpx.Client) -> None:
     browser.sign_in(token)
     browser.js("localStorage.removeItem('naosprint.form')")

@@ -56,6 +56,7 @@ export function axes({
   xLabel,
   yLabel,
   xTicks,
+  yTicks,
   left = 44,
   right = 12,
   top = 10,
@@ -69,7 +70,7 @@ export function axes({
   const group = s(
     "g",
     null,
-    ticks(y0, y1, yCount).map((v) => [
+    (yTicks ?? ticks(y0, y1, yCount)).map((v) => [
       s("line", { class: "grid", x1: left, x2: width - right, y1: sy(v), y2: sy(v) }),
       s("text", { x: left - 7, y: sy(v) + 4, "text-anchor": "end" }, yFormat(v)),
     ]),

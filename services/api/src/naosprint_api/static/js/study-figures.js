@@ -1,11 +1,11 @@
-/** Plots of a study as SVG: curves of trials, parallel coordinates, Pareto front. */
+/** Plots of a study: curves of trials, their settings and results, the Pareto front. */
 
 import { s } from "./dom.js";
 import { axes, path, svg } from "./figures.js";
-import { compact, significant } from "./format.js";
+import { compact, significant, words } from "./format.js";
+import { axisOf, missing, parallel, scatter } from "./plots.js";
 
 const HEIGHT = 300;
-const MARGIN = 46;
 
 /** Range of numbers that leaves room around them. */
 function range(values) {
@@ -15,11 +15,9 @@ function range(values) {
   return [low - room, high + room];
 }
 
-const known = (value) => value !== null && value !== undefined;
-
 /** Curves of trials: `lines` have x, y, label and token. */
 export function curves(width, lines, label) {
-  const points = lines.map((line) => line.x.map((x, i) => [x, line.y[i]]).filter(([, y]) => known(y)));
+  const points = lines.map((line) => line.x.map((x, i) => [x, line.y[i]]).filter(([, y]) => !missing(y)));
   const all = points.flat();
   if (!all.length)
     return svg(
@@ -57,109 +55,34 @@ export function curves(width, lines, label) {
   );
 }
 
-/** One axis of parallel coordinates: its name, the place of a value from 0 to 1, and labels at its ends. */
-export function axisOf(name, parameter) {
-  if (parameter.type === "choice") {
-    const options = parameter.choices.map((choice) => JSON.stringify(choice));
-    const last = options.length - 1;
-    return {
-      name,
-      place: (value) => options.indexOf(JSON.stringify(value)) / last,
-      low: options[0],
-      high: options[last],
-    };
-  }
-  const scale = parameter.log ? Math.log : (v) => v;
-  const [a, b] = [scale(parameter.low), scale(parameter.high)];
-  return {
-    name,
-    place: (v) => (scale(v) - a) / (b - a),
-    low: significant(parameter.low),
-    high: significant(parameter.high),
-  };
+/** The complete trials as rows of plots, with the axes of their settings and of their objectives. */
+function trialRows(study) {
+  const space = Object.entries(study.spec.space);
+  const best = new Set(study.best);
+  const trials = study.trials.filter((trial) => trial.state === "complete");
+  const rows = trials.map((trial) => ({
+    label: `Trial ${trial.number}: ${trial.values.map((value) => significant(value, 4)).join(", ")}`,
+    href: trial.job_id ? `#/jobs/${trial.job_id}` : null,
+    strong: best.has(trial.number),
+    settings: space.map(([name]) => trial.params[name]),
+    goals: trial.values,
+  }));
+  const values = (i) => rows.map((row) => row.goals[i]);
+  const settings = space.map(([name, parameter]) => axisOf(name, [], parameter));
+  return { rows, settings, goals: study.spec.objectives.map(({ metric }, i) => axisOf(words(metric), values(i))) };
 }
 
 /** Parallel coordinates: one line per complete trial through its settings to its first objective. */
 export function coordinates(width, study) {
-  const trials = study.trials.filter((trial) => trial.state === "complete");
-  const values = trials.map((trial) => trial.values[0]);
-  const [low, high] = [Math.min(...values), Math.max(...values)];
-  const settings = Object.entries(study.spec.space).map(([name, parameter]) => axisOf(name, parameter));
-  const result = {
-    name: study.spec.objectives[0].metric,
-    place: (v) => (high > low ? (v - low) / (high - low) : 0.5),
-    low: significant(low),
-    high: significant(high),
-  };
-  const columns = [...settings, result];
-  const x = (i) => MARGIN + (i / (columns.length - 1)) * (width - 2 * MARGIN);
-  const y = (share) => HEIGHT - 40 - share * (HEIGHT - 80);
-  const line = (trial) =>
-    path(
-      columns.map((column, i) => [
-        x(i),
-        y(column.place(i < settings.length ? trial.params[column.name] : trial.values[0])),
-      ]),
-    );
-  const best = new Set(study.best);
-  const drawn = [...trials].sort((a, b) => best.has(a.number) - best.has(b.number));
-  return svg(
-    width,
-    HEIGHT,
-    `Settings and ${result.name} of ${trials.length} trials`,
-    columns.map((column, i) => [
-      s("line", { class: "axis", x1: x(i), x2: x(i), y1: y(0), y2: y(1) }),
-      s("text", { x: x(i), y: 16, "text-anchor": "middle" }, column.name),
-      s("text", { x: x(i), y: y(1) - 6, "text-anchor": "middle" }, column.high),
-      s("text", { x: x(i), y: y(0) + 16, "text-anchor": "middle" }, column.low),
-    ]),
-    drawn.map((trial) =>
-      s(
-        "path",
-        {
-          d: line(trial),
-          fill: "none",
-          stroke: best.has(trial.number) ? "var(--s2)" : "var(--s1)",
-          "stroke-width": best.has(trial.number) ? 2.5 : 1,
-          opacity: best.has(trial.number) ? 1 : 0.45,
-        },
-        s("title", null, `Trial ${trial.number}: ${significant(trial.values[0], 4)}`),
-      ),
-    ),
-  );
+  const { rows, settings, goals } = trialRows(study);
+  const lines = rows.map((row) => ({ ...row, values: [...row.settings, row.goals[0]] }));
+  return parallel(width, [...settings, goals[0]], lines, `Settings and ${goals[0].title} of ${rows.length} trials`);
 }
 
 /** The first two objectives of the complete trials against each other; those of the Pareto front stand out. */
 export function front(width, study) {
-  const trials = study.trials.filter((trial) => trial.state === "complete");
-  const [first, second] = study.spec.objectives;
-  const plane = axes({
-    width,
-    height: HEIGHT,
-    x: range(trials.map((trial) => trial.values[0])),
-    y: range(trials.map((trial) => trial.values[1])),
-    xLabel: first.metric,
-    yLabel: second.metric,
-    xFormat: (v) => significant(v),
-    yFormat: (v) => significant(v),
-  });
-  const best = new Set(study.best);
-  return svg(
-    width,
-    HEIGHT,
-    `${first.metric} and ${second.metric} of ${trials.length} trials, ${best.size} on the Pareto front`,
-    plane.group,
-    trials.map((trial) =>
-      s(
-        "circle",
-        {
-          cx: plane.sx(trial.values[0]),
-          cy: plane.sy(trial.values[1]),
-          r: best.has(trial.number) ? 5 : 3,
-          fill: best.has(trial.number) ? "var(--s2)" : "var(--s1)",
-        },
-        s("title", null, `Trial ${trial.number}: ${trial.values.map((v) => significant(v, 4)).join(", ")}`),
-      ),
-    ),
-  );
+  const { rows, goals } = trialRows(study);
+  const points = rows.map((row) => ({ ...row, values: row.goals }));
+  const titles = `${goals[0].title} and ${goals[1].title}`;
+  return scatter(width, goals, points, `${titles} of ${rows.length} trials, ${study.best.length} on the Pareto front`);
 }

@@ -13,6 +13,7 @@ import { latest, progress, summary } from "../jobs.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
 import { follow } from "../stream.js";
 import { color, onTheme } from "../theme.js";
+import { JobPlots } from "./job-plots.js";
 import { loading, notice } from "./messages.js";
 import { axisOf } from "./results.js";
 import { flattened, knowledge, show } from "./spec-list.js";
@@ -171,6 +172,7 @@ class CompareView {
   destroy() {
     for (const { chart } of this.charts) chart.destroy();
     this.figure?.destroy();
+    this.plots?.destroy();
     clearTimeout(this.refresh);
     this.stopTheme?.();
   }
@@ -270,6 +272,10 @@ class CompareView {
     this.pick = h("div", { class: "segments", role: "group", "aria-label": "Results" });
     this.figure = new Figure((width) => resultLines(width, this.series, this.axis));
     this.numbers = scroller("Results compared");
+    this.plots?.destroy();
+    this.plots = new JobPlots(this.known, {}, (change) =>
+      this.plots.update(this.plotted(), { ...this.plots.state, ...change }),
+    );
     fill(
       this.root,
       head,
@@ -293,8 +299,18 @@ class CompareView {
       h("div", { style: { height: "0.86rem" } }),
       this.evaluated,
       this.grid,
+      this.items.length > 1 ? this.plots.element : null,
     );
+    this.plots.update(this.plotted());
     this.rebuildCharts();
+  }
+
+  /** The jobs with all results of their evaluations, for plots. */
+  plotted() {
+    return this.items.map(({ job, evaluation }) => {
+      const results = evaluation?.summary?.results && this.known.results(evaluation.summary);
+      return results ? { ...job, result: { ...job.result, results } } : job;
+    });
   }
 
   /** The settings that differ, folded; a job that does not have a setting has none of its own. */
@@ -361,7 +377,10 @@ class CompareView {
     const charts = new Map();
     for (const { job, metrics } of this.items)
       for (const c of this.known.charts(job.spec, metrics.columns.keys())) if (!charts.has(c.key)) charts.set(c.key, c);
-    const tasks = new Set(this.items.map(({ job }) => nameOf(job.spec, "task")));
+    const own = this.items.map(({ job }) => this.known.charts(job.spec));
+    // a reference is drawn if it is one of all jobs: robots and tasks have different ones
+    const ofAll = (key) => (ref) =>
+      own.every((found) => found.some((c) => c.key === key && c.refs.some(({ label }) => label === ref.label)));
     this.charts = [...charts.values()]
       .filter((c) => this.items.some(({ metrics }) => metrics.has(c.key)) || c.group === "task")
       .map((curve) => ({
@@ -371,7 +390,7 @@ class CompareView {
             ...curve,
             title: curve.metrics.length > 1 ? curve.metrics[0].title : curve.title,
             metrics: curve.metrics.slice(0, 1),
-            refs: tasks.size === 1 ? curve.refs : [],
+            refs: curve.refs.filter(ofAll(curve.key)),
           }),
           sync: "compare",
           readout: false,
@@ -700,6 +719,7 @@ class CompareView {
           item.evaluation = e;
           this.paintTable();
           this.paintEvaluations();
+          this.plots.update(this.plotted());
         },
         () => {
           /* the next visit shows it */

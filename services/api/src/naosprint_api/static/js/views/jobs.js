@@ -9,6 +9,7 @@ import { read, write } from "../kept.js";
 import { ACTIVE, actionsFor, isEnded } from "../states.js";
 import { follow } from "../stream.js";
 import { GROUPS, ListMenus } from "./job-lists.js";
+import { JobPlots, PLOT_KEYS } from "./job-plots.js";
 import { Row } from "./job-row.js";
 import { loading, problem } from "./messages.js";
 
@@ -57,7 +58,7 @@ const writeNames = (key, names) => write(key, [...names]);
 
 /** What the address of this page says: what is asked of the service, then how it is shown. */
 const ASKED = ["state", "tag", "q", "task", "robot", "owner", "group"];
-const SHOWN = ["sort", "by"];
+const SHOWN = ["sort", "by", ...PLOT_KEYS];
 const filterOf = (params) => Object.fromEntries([...ASKED, ...SHOWN].map((name) => [name, params.get(name) ?? ""]));
 
 class JobsView {
@@ -110,6 +111,8 @@ class JobsView {
     this.below = h("tbody", { "aria-hidden": "true" });
     this.box = h("div", { class: "card" }, loading("Loading jobs"));
     this.bar = h("div", { class: "select-bar", hidden: true });
+    this.plotButton = h("button", { onclick: () => this.apply({ plot: this.filter.plot ? "" : "scatter" }) }, "Plot");
+    this.plotBox = h("div");
     fill(
       this.root,
       h("div", { class: "page-head" }, h("h1", null, "Jobs"), this.count),
@@ -120,8 +123,9 @@ class JobsView {
         h("div", { class: "search" }, icon("search"), this.search),
         this.tag,
         this.menus.elements,
-        h("div", { class: "row menus" }, this.columnMenu, this.menus.viewsMenu),
+        h("div", { class: "row menus" }, this.plotButton, this.columnMenu, this.menus.viewsMenu),
       ),
+      this.plotBox,
       this.box,
       this.bar,
     );
@@ -152,6 +156,7 @@ class JobsView {
     clearInterval(this.timer);
     clearTimeout(this.typing);
     clearTimeout(this.fallback);
+    this.plots?.destroy();
   }
 
   /** Apply a change of the address within this page. */
@@ -173,7 +178,9 @@ class JobsView {
   }
 
   apply(change) {
-    this.go(`/${query({ ...this.filter, ...change })}`, { replace: "q" in change || "sort" in change });
+    this.go(`/${query({ ...this.filter, ...change })}`, {
+      replace: ["q", "sort", ...PLOT_KEYS].some((name) => name in change),
+    });
   }
 
   paintTag() {
@@ -198,7 +205,7 @@ class JobsView {
   async load() {
     this.turn += 1;
     const turn = this.turn;
-    const { state, sort, by, ...others } = this.filter;
+    const { state, ...others } = Object.fromEntries(ASKED.map((name) => [name, this.filter[name]]));
     let cursor = null;
     try {
       do {
@@ -252,8 +259,25 @@ class JobsView {
     return COLUMNS.flatMap((column) => (column.key === "rate" ? [...metrics, ...own, column] : [column]));
   }
 
+  /** Show the listed jobs as a plot above the list, if the address says so. */
+  paintPlots() {
+    const { plot } = this.filter;
+    this.plotButton.setAttribute("aria-pressed", String(Boolean(plot)));
+    if (!plot || !this.jobs.size) {
+      this.plots?.destroy();
+      this.plots = null;
+      return;
+    }
+    if (!this.plots) {
+      this.plots = new JobPlots(this.known, this.filter, (change) => this.apply(change));
+      fill(this.plotBox, this.plots.element);
+    }
+    this.plots.update([...this.jobs.values()], this.filter);
+  }
+
   paint() {
     setText(this.count, this.jobs.size ? integer(this.jobs.size) : "");
+    this.paintPlots();
     if (!this.jobs.size) {
       this.paintEmpty();
       return;
