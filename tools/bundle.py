@@ -32,7 +32,9 @@ os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
 import matplotlib as mpl
 import naopolicies
+from naosim import robots
 from naospec import EvaluationSpec, TrainingSpec, recipes
+from naospec.metrics import for_family
 from naosprint import evaluate, tasks
 from naosprint.analysis import examination, figures
 from naosprint.analysis.report import read_metrics, write_report
@@ -220,6 +222,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]], examined
         shutil.copy(work / "replay.json", target / "replay.json")
         card = {
             "name": name,
+            "sentence": sentence_of(name, trained),
             "summary": summary_text(summary),
             "robot": trained.robot.name,
             "task": trained.task.name,
@@ -248,6 +251,12 @@ def write_card(card: dict[str, Any]) -> None:
     (PAGES / f"{card['name']}.md").write_text(page(card), encoding="utf-8")
 
 
+def sentence_of(name: str, trained: TrainingSpec) -> str:
+    """Return what a policy does in a sentence: as its card says it, else as its task does."""
+    known = naopolicies.card(name) if (BUNDLED / name / naopolicies.CARD).is_file() else {}
+    return str(known.get("sentence") or tasks.get(trained.task.name).summary)
+
+
 def pictures_of(card: dict[str, Any]) -> list[str]:
     """Return the names of a policy's pictures."""
     return [*(table["name"].replace("_", "-") for table in card["tables"]), "trajectories", "frames", "gait"]
@@ -272,7 +281,8 @@ def learning_curves(spec: TrainingSpec, card: dict[str, Any]) -> Any:
     presentation = tasks.get(spec.task.name).presentation
     results = {name: one["value"] for name, one in by_name(card).items() if one["value"] is not None}
     metrics = {metric.name: metric for metric in columns(spec)}
-    return figures.learning_curves(rows, presentation.charts, metrics, presentation.references, (steps, results))
+    references = for_family(robots.configured(spec.robot).family, presentation.references)
+    return figures.learning_curves(rows, presentation.charts, metrics, references, (steps, results))
 
 
 def page(card: dict[str, Any]) -> str:
@@ -280,6 +290,7 @@ def page(card: dict[str, Any]) -> str:
     name, confidence = card["name"], card["evaluation"]["confidence"]
     lines = [f"# {name}", "", f"[![{name} in pictures]({name}/frames.png)]({name}/run.mp4)", ""]
     lines += [f"[Film]({name}/run.mp4)", ""]
+    lines += [card["sentence"], ""]
     lines += [f"Robot {card['robot']}, task {card['task']}: {card['summary']}.", ""]
     lines += [f"| {card['episodes']:,} episodes, deterministic | | |", "|---|---|---|"]
     lines += [f"| {one['title']} | {value_text(one)} | {interval_text(one, confidence)} |" for one in card["results"]]

@@ -125,6 +125,15 @@ def recorded_form(summary: Mapping[str, Any]) -> dict[str, Any]:
         result = results[name]
         return {"count": result["count"], "rate": result["value"], "ci": result["interval"]}
 
+    def challenge() -> dict[str, Any]:
+        return {
+            "score": spread(results["run_challenge_score"]),
+            "speed_mps": spread(results["run_challenge_speed_mps"]),
+            "off_ground": spread(results["run_challenge_flight_share"]),
+            "falls": share("run_challenge_fall_rate"),
+        }
+
+    nao = "low_at_end" in results
     table = summary["tables"][0]
     paper, everyone = (column["results"] for column in table["columns"])
     return {
@@ -145,19 +154,14 @@ def recorded_form(summary: Mapping[str, Any]) -> dict[str, Any]:
                 "mean": results["deviation_deg"]["value"],
                 "sd": results["deviation_deg"]["sd"],
             },
-            "low_at_end": share("low_at_end"),
+            **({"low_at_end": share("low_at_end")} if nao else {}),
         },
         "speed_by_line": [
             {"line_m": line, "paper": spread(first), "all": spread(second)}
             for line, first, second in zip(table["at"], paper, everyone, strict=True)
         ],
         "both_feet_off_ground": spread(results["flight_share"]),
-        "run_challenge": {
-            "score": spread(results["run_challenge_score"]),
-            "speed_mps": spread(results["run_challenge_speed_mps"]),
-            "off_ground": spread(results["run_challenge_flight_share"]),
-            "falls": share("run_challenge_fall_rate"),
-        },
+        **({"run_challenge": challenge()} if nao else {}),
     }
 
 

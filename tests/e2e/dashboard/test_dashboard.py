@@ -739,30 +739,50 @@ def test_the_replay_plays_a_recorded_episode(
 def test_the_bundled_policies_are_listed_with_their_results(browser: Browser, token: str, client: httpx.Client) -> None:
     cards = client.get("/policies").json()["items"]
     assert [card["name"] for card in cards] == list(naopolicies.names())
+    browser.allowed += ["GPU stall", "software WebGL"]
     browser.sign_in(token)
     browser.find("#top nav a[href='#/policies']").send_keys(Keys.ENTER)
     browser.until(lambda: browser.all("[data-policy]"), message="no policy is shown")
-    assert [e.get_attribute("data-policy") for e in browser.all("[data-policy]")] == [card["name"] for card in cards]
+    found = sorted(str(e.get_attribute("data-policy")) for e in browser.all("[data-policy]"))
+    assert found == sorted(card["name"] for card in cards)
+    assert [e.text for e in browser.all(".policies thead th")] == [
+        "Robot",
+        "Sprint",
+        "Follow a velocity",
+        "Stand up",
+        "Dribble",
+        "Kick",
+    ]
     assert browser.text("#top nav a[aria-current=page]") == "Policies"
     for card in cards:
         shown = browser.text(f"[data-policy={card['name']}]")
         results = {result["name"]: result for result in card["results"]}
+        main = [results[name] for name in card["headline"][:2]]
         for words in (
-            card["task"],
-            card["robot"],
-            *(results[name]["title"] for name in card["headline"]),
-            *(
-                number(results[name]["value"], results[name]["digits"])
-                for name in card["headline"]
-                if results[name]["unit"] != "%"
-            ),
-            *(f"preset {one['preset']}" for one in card["lineage"]),
+            card["sentence"],
+            *(result["title"] for result in main),
+            *(number(result["value"], result["digits"]) for result in main if result["unit"] != "%"),
         ):
             assert words in shown, (card["name"], words)
+
+    def names() -> list[str]:
+        return [str(e.get_attribute("data-policy")) for e in browser.all("[data-policy]")]
+
+    browser.set("input[aria-label='Search policies']", "pushed slippery")
+    browser.until(lambda: names() == ["t1-sprint-robust", "t1-run-robust", "t1-getup-robust", "k1-run"])
+    browser.find("[data-filter=robot]").send_keys("Booster K1")
+    browser.until(lambda: names() == ["k1-run"])
+    browser.open("/policies?robot=t1&skill=Kick")
+    browser.until(lambda: names() == ["t1-kick"], message="the address does not filter")
+    browser.open("/policies")
+    browser.find("button[aria-label='Watch t1-kick']").click()
+    browser.find("dialog .stage canvas")
+    browser.driver.switch_to.active_element.send_keys(Keys.ESCAPE)
+    browser.until(lambda: not browser.all("dialog"), message="the film stays open")
     # By keyboard alone to the page of the first, and back.
-    browser.js("document.querySelector('[data-policy] h2 a').focus()")
+    browser.js("document.querySelector('[data-policy] a').focus()")
     browser.driver.switch_to.active_element.send_keys(Keys.ENTER)
-    browser.shows(cards[0]["name"], "h1")
+    browser.shows("t1-sprint", "h1")
     browser.driver.switch_to.active_element.send_keys("g")
     browser.driver.switch_to.active_element.send_keys("p")
     browser.shows("Policies", "h1")

@@ -431,6 +431,29 @@ def test_what_nobody_describes_is_shown_by_its_name(page: Browser) -> None:
     ]
 
 
+def test_lines_and_results_of_another_robot_are_not_shown(page: Browser) -> None:
+    """Some numbers are of one family of robots; documents of earlier versions contain them for all."""
+    found = page.module(
+        """
+        const { Descriptions } = await import("/ui/js/descriptions.js");
+        const metric = (name, families = null) => ({ name, title: name, unit: "", digits: 2, better: null, families });
+        const task = { name: "run", metrics: [metric("speed")], listed: [],
+          results: [metric("low", ["nao"]), metric("top")], charts: [{ title: "Speed", metrics: ["speed"] }],
+          references: [{ metric: "speed", value: 3.91, title: "the paper", families: ["nao"] },
+            { metric: "speed", value: 5, title: "all", families: null }] };
+        const robots = [{ name: "nao-0", family: "nao" }, { name: "t1", family: "booster" }];
+        const known = new Descriptions([task], [], robots);
+        const results = [{ name: "low" }, { name: "top" }];
+        const of = (robot) => [
+          known.charts({ task: { name: "run" }, robot: { name: robot } })[0].refs.map((r) => r.label),
+          known.results({ task: { name: "run" }, robot, results }).map((r) => r.name),
+        ];
+        return ["nao-0", "t1", "unknown"].map(of);
+        """
+    )
+    assert found == [[["the paper", "all"], ["low", "top"]], *[[["all"], ["top"]]] * 2]
+
+
 def test_the_evaluation_that_stands_for_a_job(page: Browser) -> None:
     """The command line and the service choose the same one: most episodes, then newest."""
     chosen = page.module(

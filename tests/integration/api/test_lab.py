@@ -11,8 +11,11 @@ from naojobs import registry
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions
 from naojobs.leases import Lease, claim_next
-from naojobs.models import Trial, TrialState
+from naojobs.models import Evaluation, Match, Trial, TrialState
 from naojobs.usage import add_usage
+
+from tests.integration.attempts import claim_work
+from tests.integration.writes import record_checkpoint
 
 from .test_jobs import problem, submit
 
@@ -36,6 +39,27 @@ def test_only_an_administrator_drains_a_worker_which_then_claims_nothing(
     claim = claim_next(sessions, "host:1:abc", capabilities=EVERYTHING)
     assert claim is not None
     assert claim.lease.id == job["id"]
+
+
+def test_a_drained_worker_shows_the_evaluation_and_the_match_that_it_still_runs(
+    client: httpx.Client,
+    admin: httpx.Client,
+    make_client: Callable[..., httpx.Client],
+    sessions: Sessions,
+    run_job: Callable[..., Lease],
+) -> None:
+    lease = run_job("alice")
+    record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    evaluation = client.post(f"/jobs/{lease.job_id}/evaluations").json()["id"]
+    match = client.post("/matches", json={"teams": ["default", "default"], "players": 1}).json()["id"]
+    registry.beat(sessions, "host:1:abc", host="host", pid=1, capabilities=EVERYTHING, version="1")
+    assert claim_work(sessions, Evaluation, evaluation, "host:1:abc") is not None
+    assert claim_work(sessions, Match, match, "host:1:abc") is not None
+    drained = admin.post("/workers/host:1:abc/drain", json={}).json()
+    assert (drained["jobs"], drained["evaluations"], drained["matches"]) == ([], [evaluation], [match])
+    for who, shown in ((client, [[evaluation], [match]]), (make_client("mallory", "read"), [[], []])):
+        (worker,) = who.get("/workers").json()["items"]
+        assert [worker["evaluations"], worker["matches"]] == shown
 
 
 def test_use_is_summed_by_owner_and_shown_to_its_owner(
@@ -86,3 +110,13 @@ def test_a_study_that_runs_elsewhere_over_http(
     assert client.post(f"{path}/extend", json={"trials": 30}).json()["spec"]["trials"] == 30
     ordinary = client.post("/studies", json={"job": {}, "search": {"space": search["space"]}}).json()
     problem(client.post(f"/studies/{ordinary['id']}/ask"), 409)
+
+
+def test_a_study_of_another_robot_has_no_results_of_a_nao(client: httpx.Client) -> None:
+    search = {
+        "space": {"n_epochs": {"type": "int", "low": 1, "high": 3}},
+        "objectives": [{"metric": "run_challenge_score"}],
+    }
+    refused = problem(client.post("/studies", json={"job": {"spec": {"robot": "t1"}}, "search": search}), 422)
+    assert "no metric 'run_challenge_score'" in refused["detail"] and "top_speed_mps" in refused["detail"]
+    assert client.post("/studies", json={"job": {}, "search": search}).status_code == 201

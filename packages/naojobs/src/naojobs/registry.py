@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import asdict, dataclass
 from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import delete, func, select, update
+from sqlalchemy import delete, func, select, union_all, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
@@ -15,17 +16,18 @@ from naojobs.changes import add_event
 from naojobs.database import Sessions, one_statement
 from naojobs.errors import NotFoundError
 from naojobs.leases import read_lease_clock
-from naojobs.models import Job, Match, Worker
+from naojobs.models import Evaluation, Job, Match, Worker
 from naojobs.preemption import YIELDING
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerStatus:
-    """Registered worker, whether it is alive by the database's clock, and the jobs and matches that it has leased."""
+    """Registered worker, whether it is alive by the database's clock, and the ids of the work that it has leased."""
 
     row: Worker
     alive: bool
     jobs: tuple[str, ...]
+    evaluations: tuple[str, ...]
     matches: tuple[str, ...]
 
 
@@ -112,27 +114,29 @@ def workers(
         if only is not None:
             statement = statement.where(Worker.id == only)
         rows = session.execute(statement).all()
-        jobs, matches = _held(session, Job), _held(session, Match)
+        jobs, evaluations, matches = (_held(session, model) for model in (Job, Evaluation, Match))
         return [
-            WorkerStatus(worker, is_alive, tuple(jobs.get(worker.id, ())), tuple(matches.get(worker.id, ())))
+            WorkerStatus(worker, is_alive, jobs[worker.id], evaluations[worker.id], matches[worker.id])
             for worker, is_alive in rows
         ]
 
 
-def _held(session: Session, model: type[Job | Match]) -> dict[str, list[str]]:
+def _held(session: Session, model: type[Job | Evaluation | Match]) -> defaultdict[str, tuple[str, ...]]:
     """Return the ids of leased work by worker, in order."""
-    held: dict[str, list[str]] = {}
+    held: defaultdict[str, tuple[str, ...]] = defaultdict(tuple)
     rows = select(model.lease_owner, model.id).where(model.lease_owner.is_not(None)).order_by(model.id)
     for worker, work_id in session.execute(rows):
-        held.setdefault(str(worker), []).append(work_id)
+        held[str(worker)] += (work_id,)
     return held
 
 
 def leased_of(sessions: Sessions, owner: str) -> frozenset[str]:
-    """Return the ids of the jobs and matches of `owner` that a worker has leased."""
+    """Return the ids of the jobs, evaluations and matches of `owner` that a worker has leased."""
+    evaluations = select(Evaluation.id).join(Job, Job.id == Evaluation.job_id).where(Job.owner == owner)
+    wanted = (
+        select(Job.id).where(Job.owner == owner, Job.lease_owner.is_not(None)),
+        evaluations.where(Evaluation.lease_owner.is_not(None)),
+        select(Match.id).where(Match.owner == owner, Match.lease_owner.is_not(None)),
+    )
     with sessions.begin() as session:
-        return frozenset(
-            work_id
-            for model in (Job, Match)
-            for work_id in session.scalars(select(model.id).where(model.owner == owner, model.lease_owner.is_not(None)))
-        )
+        return frozenset(session.scalars(union_all(*wanted)))

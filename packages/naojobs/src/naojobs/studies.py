@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, stored, validation_words
-from naospec.metrics import EPISODE_METRICS, Metric
+from naospec.metrics import EPISODE_METRICS, Metric, for_family
 from naospec.search import Objective, SearchSpec
 from pydantic import ValidationError
 from sqlalchemy import func, select
@@ -135,7 +135,8 @@ def complete(search: SearchSpec, job: JobRequest) -> SearchSpec:
     """Return `search` with everything that the task decides. Raises InvalidError."""
     name = job.evaluation.task.name if job.evaluation and job.evaluation.task else job.spec.task.name
     task = plugins.load(plugins.TASKS, name)
-    metrics = {metric.name: replace(metric, live=False) for metric in task.results}
+    family = plugins.load(plugins.ROBOTS, job.spec.robot.name).family
+    metrics = {metric.name: replace(metric, live=False) for metric in for_family(family, task.results)}
     metrics |= {metric.name: metric for metric in (*EPISODE_METRICS, *task.metrics)}
     evaluated = job.evaluation is not None
     objectives = search.objectives

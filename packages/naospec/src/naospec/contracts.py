@@ -102,6 +102,7 @@ class TaskContract(Protocol):
     """A task; the class itself is the plug-in."""
 
     name: str
+    summary: str
     version: int
     scene: object
     needs: Iterable[object]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from math import isfinite
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 Better = Literal["higher", "lower"]
 
@@ -22,6 +23,7 @@ class Metric:
         better: which direction is better, if one is.
         kind: ``mean`` for a number per episode; ``rate`` for a yes or no per episode.
         live: whether trainings report it; otherwise only evaluations do.
+        families: families of the robots that have it; None for all.
     """
 
     name: str
@@ -32,6 +34,7 @@ class Metric:
     better: Better | None = None
     kind: Literal["mean", "rate"] = "mean"
     live: bool = True
+    families: tuple[str, ...] | None = None
 
 
 EPISODE_METRICS: tuple[Metric, ...] = (
@@ -43,11 +46,27 @@ EPISODE_METRICS: tuple[Metric, ...] = (
 
 @dataclass(frozen=True)
 class Reference:
-    """A value to compare a metric with, for example a published result."""
+    """A value to compare a metric with, for example a published result.
+
+    Attributes:
+        metric: name of the metric.
+        value: in the metric's unit.
+        title: name for users.
+        families: families of the robots that it applies to; None for all.
+    """
 
     metric: str
     value: float
     title: str
+    families: tuple[str, ...] | None = None
+
+
+OfRobots = TypeVar("OfRobots", Metric, Reference)
+
+
+def for_family(family: str, known: Iterable[OfRobots]) -> tuple[OfRobots, ...]:
+    """Return the metrics or references that robots of this family have."""
+    return tuple(each for each in known if each.families is None or family in each.families)
 
 
 @dataclass(frozen=True)
@@ -76,6 +95,7 @@ class Presentation:
     """Where the metrics of a task are shown.
 
     Attributes:
+        skill: what the task teaches, for users; tasks with the same one are listed together. Empty for the task's name.
         charts: learning curves, the most important first.
         listed: live metrics in lists of jobs, the most important first.
         headline: results of an evaluation on cards and in summaries, the most important first.
@@ -84,6 +104,7 @@ class Presentation:
         repeats: whether the motion repeats, as strides do; otherwise reports show its beginning.
     """
 
+    skill: str = ""
     charts: tuple[Chart, ...] = ()
     listed: tuple[str, ...] = ()
     headline: tuple[str, ...] = ()
@@ -120,7 +141,7 @@ class Result:
         """Return a JSON object; a number that is not finite becomes None."""
         document = asdict(self)
         metric = document.pop("metric")
-        del metric["live"]
+        del metric["live"], metric["families"]
         for name in ("value", "sd", "low", "high"):
             document[name] = _finite(document[name])
         bounds = [_finite(bound) for bound in self.interval or (None,)]

@@ -13,6 +13,7 @@ from naojobs.models import Checkpoint, PolicyRecord, PolicyVersion
 from naojobs.policies import aliases_of
 from naojobs.promotion import requirements_of
 from naojobs.store import StoreManifest
+from naospec import plugins
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
@@ -148,6 +149,7 @@ def _cards(session: Session, rows: Sequence[tuple[PolicyRecord, PolicyVersion]])
                 spec_sha256=version.spec_sha256,
                 parent_policy=own["parent_policy"],
                 notes=version.notes,
+                sentence=version.notes.partition("\n")[0] or _summary_of(own["task"]),
                 summary="",
                 robot=own["robot"],
                 task=own["task"],
@@ -158,6 +160,11 @@ def _cards(session: Session, rows: Sequence[tuple[PolicyRecord, PolicyVersion]])
             )
         )
     return cards
+
+
+def _summary_of(task: str) -> str:
+    """Return the summary of a task; empty if it is not installed."""
+    return plugins.load(plugins.TASKS, task).summary if task in plugins.names(plugins.TASKS) else ""
 
 
 def _part(summary: dict[str, Any]) -> dict[str, Any]:

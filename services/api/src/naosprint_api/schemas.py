@@ -658,6 +658,7 @@ class PolicyCard(BaseModel):
     spec_sha256: str = Field(description="SHA-256 of the specification.")
     parent_policy: str | None = Field(description="Policy that its job started from, by reference.")
     notes: str = ""
+    sentence: str = Field("", description="What it does; of registered policies the first line of the notes.")
     summary: str = Field(description="The most important results in a line; empty for registered policies.")
     robot: str
     task: str
@@ -816,6 +817,7 @@ class WorkerPublic(_Public):
     heartbeat_at: datetime
     alive: bool = Field(description="Whether its last heartbeat is recent.")
     jobs: list[str] = Field(description="Its leased jobs.")
+    evaluations: list[str] = Field([], description="Its leased evaluations.")
     matches: list[str] = Field([], description="Its leased matches.")
 
 

@@ -127,11 +127,10 @@ def match_details(match: Match, shown: MatchPublic, games: Iterable[MatchGame]) 
 
 
 def worker_view(worker: WorkerStatus, visible: Container[str] | None = None) -> WorkerPublic:
-    """Return a worker with those of its jobs and matches that are in `visible`, all if it is none."""
-    jobs, matches = (
-        [each for each in held if visible is None or each in visible] for held in (worker.jobs, worker.matches)
-    )
-    given = {"alive": worker.alive, "jobs": jobs, "matches": matches, "queues": worker.row.simulators}
+    """Return a worker with what it runs of the ids in `visible`, all if it is none."""
+    held = {"jobs": worker.jobs, "evaluations": worker.evaluations, "matches": worker.matches}
+    shown = {name: [each for each in ids if visible is None or each in visible] for name, ids in held.items()}
+    given = {"alive": worker.alive, "queues": worker.row.simulators, **shown}
     names = (name for name in WorkerPublic.model_fields if name not in given)
     return WorkerPublic.model_validate({**given, **{name: getattr(worker.row, name) for name in names}})
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import imageio_ffmpeg  # type: ignore[import-untyped]
+import naopolicies
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -34,6 +35,7 @@ from naosprint.analysis.report import (
 from naosprint.analysis.results import by_name, interval_text, value_text
 from naosprint.analysis.scene import Camera, robot_collection
 from naosprint.console import ConsoleReporter
+from naosprint.tasks.sprint import Sprint1
 from PIL import Image
 
 
@@ -253,6 +255,27 @@ def test_the_gait_of_a_fallen_episode_says_so(evaluation: Path, metrics: Path, t
     page = write_report(tmp_path / "out", evaluation=folder, metrics=metrics, film=False).read_text()
     assert f"The episode ended after {replay.duration_s:.2f} s: fall." in page
     assert "The episode ended" not in write_report(tmp_path / "up", evaluation=evaluation, film=False).read_text()
+
+
+def test_a_report_of_another_robot_has_nothing_of_the_paper(evaluation: Path, metrics: Path, tmp_path: Path) -> None:
+    """A NAO's results, lines and rules are no measure of a T1, not even in documents that an earlier version wrote."""
+    folder = tmp_path / "t1"
+    limits = EvaluationSpec(episodes=2, trajectories=2, bootstrap_resamples=100, engine="fast")
+    evaluate(naopolicies.folder("t1-sprint"), limits).save(folder)
+    path = folder / "evaluation.json"
+    summary = json.loads(path.read_text())
+    own = {metric.name for metric in Sprint1.results if metric.families == ("nao",)}
+    assert (
+        own
+        and not own & set(by_name(summary))
+        and own <= set(by_name(json.loads((evaluation / path.name).read_text())))
+    )
+    earlier = by_name(json.loads((evaluation / path.name).read_text()))
+    path.write_text(json.dumps({**summary, "results": [*summary["results"], earlier["low_at_end"]]}))
+    page = write_report(tmp_path / "out", evaluation=folder, metrics=metrics, film=False).read_text()
+    assert "28 m, finish" in page and not re.search(r"paper|3\.91 m|low at the end|challenge", page, re.IGNORECASE)
+    nao = write_report(tmp_path / "nao", evaluation=evaluation, metrics=metrics, film=False).read_text()
+    assert "3.91 m/s, the paper" in nao and "Low at the end" in nao
 
 
 def _shown_distance(film: Film, frame: int) -> float:

@@ -77,7 +77,7 @@ def logout(
 
 @workers_app.callback(invoke_without_command=True)
 def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
-    """List the workers with their jobs and matches; drain one before maintenance."""
+    """List the workers with what they run; drain one before maintenance."""
     if ctx.invoked_subcommand:
         return
     context = context_of(ctx)
@@ -94,7 +94,7 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
             cell(worker["id"]),
             cell(", ".join(worker["simulators"])),
             cell(", ".join(worker["robots"])),
-            ", ".join(worker["jobs"] + worker["matches"]) or MISSING,
+            ", ".join(_held(worker)) or MISSING,
             MISSING if worker["disk_free_bytes"] is None else size(worker["disk_free_bytes"]),
             seen,
             cell(worker["version"]),
@@ -141,8 +141,13 @@ def _set_drained(ctx: typer.Context, worker: str, verb: str, body: Any, *, as_js
         context.json(found)
         return
     context.out.print(f"{found['id']}: {verb}ed", markup=False)
-    if verb == "drain" and found["jobs"]:
-        context.note(f"It still runs {', '.join(found['jobs'])}; `naoctl workers` shows when it has none.")
+    if verb == "drain" and (held := _held(found)):
+        context.note(f"It still runs {', '.join(held)}; `naoctl workers` shows when it has none.")
+
+
+def _held(worker: dict[str, Any]) -> list[str]:
+    """Return the ids of the jobs, evaluations and matches that a worker runs."""
+    return [*worker["jobs"], *worker.get("evaluations", ()), *worker.get("matches", ())]
 
 
 def usage(

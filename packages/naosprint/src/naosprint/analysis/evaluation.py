@@ -16,6 +16,7 @@ from naosim import kinds
 from naosim.simulator import STEP_S
 from naospec import formats
 from naospec.json_text import json_text
+from naospec.metrics import for_family
 
 from naosprint import tasks
 from naosprint.analysis.replay import Replay
@@ -166,7 +167,9 @@ def evaluate(
         environment.close()
     episodes = recorder.episodes()
     statistics = Statistics(spec.confidence, spec.bootstrap_resamples, spec.seed)
-    results, tables = environment.task.summarize(episodes, statistics)
+    found, tables = environment.task.summarize(episodes, statistics)
+    shown = for_family(world.robot.family, [result.metric for result in found])
+    results = [result for result in found if result.metric in shown]
     task = tasks.get(setting.task.name)
     summary = {
         "format": FORMAT,

@@ -22,7 +22,7 @@ from naosim.simulator import CONTACT_N, STEP_S
 from naospec import TrainingSpec, formats, validation_words
 from naospec.files import read_bounded, read_json
 from naospec.json_text import json_text
-from naospec.metrics import Chart
+from naospec.metrics import Chart, for_family
 from naospec.sections import require_plain_names
 from pydantic import ValidationError
 
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.figure import Figure
+    from naospec.metrics import Reference
 
     from naosprint.arrays import FloatArray
 
@@ -140,7 +141,7 @@ def write_report(
             plots=[(plot, drawings[plot.name]) for plot in plots],
             film=_data_url(directory / "run.mp4", "video/mp4") if film else None,
             film_caption=film_caption(replay, repeats=tasks.get(spec.task.name).presentation.repeats),
-            references=[reference.title for reference in tasks.get(spec.task.name).presentation.references],
+            references=[reference.title for reference in _references(spec)],
         ),
         encoding="utf-8",
     )
@@ -175,6 +176,7 @@ def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dic
                 raise ReportError(f"{results}: {name}: missing")
         require_plain_names("tables", [table["name"] for table in summary["tables"]])
         spec = _episodes_spec(summary)
+        summary["results"] = _of_robot(spec, summary["results"])
         arrays = read_npz(paths_file, max_bytes=_MAX_BYTES)
         paths = {name: np.array(values, dtype=np.float64) for name, values in arrays.items()}
     except ReportError:
@@ -186,6 +188,14 @@ def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dic
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ReportError(f"{directory}: no complete evaluation: {error}") from error
     return summary, spec, paths
+
+
+def _of_robot(spec: TrainingSpec, results: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the results that the task has for this robot; earlier versions reported those of a NAO for all robots."""
+    known = tasks.get(spec.task.name).results
+    shown = {metric.name for metric in for_family(robots.configured(spec.robot).family, known)}
+    others = {metric.name for metric in known} - shown
+    return [result for result in results if result["name"] not in others]
 
 
 def _episodes_spec(summary: Mapping[str, Any]) -> TrainingSpec:
@@ -203,6 +213,11 @@ def _window(samples: int, spec: TrainingSpec) -> tuple[int, int]:
     return begin, min(begin + WINDOW_STEPS, samples)
 
 
+def _references(spec: TrainingSpec) -> tuple[Reference, ...]:
+    """Return the values that the task gives to compare this robot's with."""
+    return for_family(robots.configured(spec.robot).family, tasks.get(spec.task.name).presentation.references)
+
+
 def _plots(
     summary: Mapping[str, Any],
     spec: TrainingSpec,
@@ -211,7 +226,7 @@ def _plots(
     rows: Sequence[Mapping[str, float]],
 ) -> list[_Plot]:
     presentation = tasks.get(spec.task.name).presentation
-    references, confidence = presentation.references, summary["evaluation"]["confidence"]
+    references, confidence = _references(spec), summary["evaluation"]["confidence"]
     found = []
     charts = (*presentation.charts[: figures.MAX_CHARTS - 1], _REWARD)
     if figures.has_curves(rows, charts):

@@ -9,7 +9,7 @@ from typing import Any
 from naospec.metrics import Metric, format_value
 from rich.table import Table
 
-_FIELDS = tuple(field.name for field in fields(Metric) if field.name != "live")
+_FIELDS = tuple(field.name for field in fields(Metric) if field.name not in ("live", "families"))
 
 
 def metric_of(result: Mapping[str, Any]) -> Metric:

@@ -227,6 +227,7 @@ class Dribble(BallTask[DribbleSettings]):
     ends = (FALL, End("lost", "Ball lost", failure=True), End("done", "Course"))
     trace = ("ball_x", "ball_y", "ahead", "line", "line_x", "line_y", "direction")
     presentation = Presentation(
+        skill="Dribble",
         charts=(
             Chart("Ball's speed", ("ball_speed_mps",)),
             Chart("Velocity error", ("ball_error_mps",)),

@@ -168,6 +168,7 @@ class GetUp(Task[GetUpSettings]):
     metrics = (STANDING_RATE, SUCCESS_RATE)
     results = (TIME, HEIGHT)
     presentation = Presentation(
+        skill="Stand up",
         charts=(Chart("Success", ("success_rate", "standing_rate")), Chart("Reward", ("reward",))),
         listed=("success_rate", "standing_rate"),
         headline=("success_rate", "time_s", "standing_rate", "final_height_m"),

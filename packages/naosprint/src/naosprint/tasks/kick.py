@@ -107,6 +107,7 @@ class Kick(BallTask[KickSettings]):
     ends = (FALL, End("done", "Kick"), End("missed", "No kick"))
     trace = ("ball_x", "ball_y", "touched", "direction", "distance", "aligned", "launch_error")
     presentation = Presentation(
+        skill="Kick",
         charts=(
             Chart("Launch error", ("launch_error_deg",)),
             Chart("Roll", ("roll_m",)),

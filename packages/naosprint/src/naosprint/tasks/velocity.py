@@ -288,6 +288,7 @@ class Velocity(Task[VelocitySettings]):
         "flight",
     )
     presentation = Presentation(
+        skill="Follow a velocity",
         charts=(
             Chart("Velocity error", ("velocity_error_mps",)),
             Chart("Falls", ("fall_rate",)),

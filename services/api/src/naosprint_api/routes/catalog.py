@@ -29,6 +29,7 @@ class MetricPublic(BaseModel):
     better: str | None = Field(description="Which direction is better: higher, lower, or null.")
     kind: str = Field(description="mean: a number per episode; rate: a yes or no per episode.")
     live: bool = Field(description="Whether trainings report it; otherwise only evaluations do.")
+    families: list[str] | None = Field(description="Families of the robots that have it; null for all.")
 
 
 class ChartPublic(BaseModel):
@@ -52,6 +53,7 @@ class ReferencePublic(BaseModel):
     metric: str
     value: float
     title: str
+    families: list[str] | None = Field(description="Families of the robots that it applies to; null for all.")
 
 
 class FieldLinePublic(BaseModel):
@@ -70,6 +72,7 @@ class TaskPublic(BaseModel):
     metrics: list[MetricPublic]
     results: list[MetricPublic] = Field(description="What only evaluations report.")
     ends: list[EndPublic]
+    skill: str = Field(description="What it teaches; tasks with the same are listed together. Empty for its name.")
     charts: list[ChartPublic] = Field(description="Learning curves, the most important first.")
     listed: list[str] = Field(description="Live metrics in lists of jobs, the most important first.")
     headline: list[str] = Field(description="Results of an evaluation in summaries, the most important first.")

@@ -123,7 +123,7 @@ def list_workers(
         str | None, Query(max_length=200, pattern=PLAIN, description="`next_cursor` of the previous page.")
     ] = None,
 ) -> WorkerPage:
-    """List the workers with their capabilities, jobs and matches (one's own, unless the token is admin)."""
+    """List the workers with their capabilities and what they run (one's own, unless the token is admin)."""
     if principal.job_id is not None:
         return WorkerPage(items=[], next_cursor=None)  # a link to a job shows no worker
     rows = registry.workers(service.reads, stale_s=service.settings.lease_s, limit=limit + 1, after=cursor)

@@ -58,6 +58,20 @@ export class Descriptions {
     return this.tasks.get(name) ?? null;
   }
 
+  /** Those metrics or references that a robot has: some are of one family of robots only. */
+  ofRobot(name, known) {
+    const family = this.robot(name)?.family;
+    return known.filter((each) => !each.families || each.families.includes(family));
+  }
+
+  /** Results of an evaluation without those of other robots, which earlier versions reported. */
+  results(summary) {
+    const known = this.task(nameOf(summary, "task"))?.results ?? [];
+    const shown = new Set(this.ofRobot(nameOf(summary, "robot"), known));
+    const others = new Set(known.filter((metric) => !shown.has(metric)).map((metric) => metric.name));
+    return summary.results.filter((result) => !others.has(result.name));
+  }
+
   /** All metrics of a specification by name. */
   metrics(spec) {
     const known = [
@@ -87,8 +101,9 @@ export class Descriptions {
     const metrics = this.metrics(spec);
     const task = this.task(nameOf(spec, "task"));
     const algorithm = this.algorithms.get(nameOf(spec, "algorithm"));
+    const references = this.ofRobot(nameOf(spec, "robot"), task?.references ?? []);
     const refs = (names) =>
-      (task?.references ?? []).filter((r) => names.includes(r.metric)).map((r) => ({ y: r.value, label: r.title }));
+      references.filter((r) => names.includes(r.metric)).map((r) => ({ y: r.value, label: r.title }));
     const make = (group) => (chart) => ({
       key: chart.metrics[0],
       group,

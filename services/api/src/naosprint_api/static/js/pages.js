@@ -79,7 +79,7 @@ export const PAGES = [
     load: () => import("./views/policies.js"),
     nav: "Policies",
     keys: ["g", "p"],
-    docs: "policies/sprint.html",
+    docs: "policies/index.html",
   },
   {
     name: "policies",
@@ -91,7 +91,7 @@ export const PAGES = [
     name: "policies",
     pattern: /^\/policies\/(?<id>[^/]+)$/,
     load: () => import("./views/policy.js"),
-    docs: "policies/sprint.html",
+    docs: "policies/index.html",
   },
   {
     name: "jobs",

@@ -159,7 +159,11 @@ export class EvaluationTab {
   }
 
   async show(evaluation) {
+    const { body } = this;
+    const known = await descriptions();
+    if (this.gone || this.body !== body) return;
     const { summary } = evaluation;
+    this.robot = known.robot(summary.robot);
     const level = levelOf(evaluation.spec);
     const recorded = evaluation.files.find(
       (x) => x.name === "trajectories.npz" || x.name.endsWith("/trajectories.npz"),
@@ -182,7 +186,7 @@ export class EvaluationTab {
               "details",
               { class: "card" },
               h("summary", null, "All results"),
-              scroller("All results", resultsTable(summary, level)),
+              scroller("All results", resultsTable(known.results(summary), level)),
             ),
           ]
         : notice(
@@ -218,7 +222,6 @@ export class EvaluationTab {
     );
     if (!recorded) return;
     try {
-      const known = await descriptions();
       const lines = known.task(summary.task?.name)?.lines ?? [];
       const paths = await Paths.load(recorded, known.field(summary.robot), lines, this.store.signal);
       if (!this.gone && this.pathBox === box) this.showPaths(paths);
@@ -299,7 +302,7 @@ export class EvaluationTab {
       );
     this.speed = chart("Speed", "m/s", "--s1", { min: 0 });
     this.height = chart("Torso height", "m", "--s3", {
-      min: 0.2,
+      min: this.robot ? this.robot.standing_height_m / 2 : 0,
       format: (v) => fixed(v, 3),
       axisFormat: (v) => fixed(v, 2),
     });

@@ -1,112 +1,284 @@
-/** The policies, bundled and registered: one card each with its results and its lineage; compare some. */
+/** The policies, bundled and registered, as a table of robots and skills: watch, filter, compare. */
 
-import { every } from "../api.js";
-import { fill, h, icon } from "../dom.js";
-import { compact, duration, integer } from "../format.js";
-import { loading, refreshed } from "./messages.js";
+import { every, query } from "../api.js";
+import { descriptions } from "../descriptions.js";
+import { fill, h, heading, icon, scroller, table } from "../dom.js";
+import { headline } from "../evaluation.js";
+import { compact, duration, integer, withUnit, words } from "../format.js";
+import { open } from "./dialog.js";
+import { loading, problem } from "./messages.js";
+import { Player } from "./player.js";
 import { headlineStats, stat } from "./results.js";
 
-/** Headline of a policy's card as a block; `flat` inside of a card, in rows of three. */
-export function headlineBlock(card, flat) {
+/** Results in a cell of the table. */
+const MOST_RESULTS = 2;
+
+/** Headline of a policy's card as a block. */
+export function headlineBlock(card) {
   const jobs = card.lineage.length > 1 ? `${card.lineage.length} jobs` : "1 job";
-  const cells = [
-    ...headlineStats(card),
-    stat(
-      "Trained",
-      compact(card.steps),
-      "steps",
-      `${jobs}, ${duration(card.training_s)}`,
-      `${integer(card.steps)} environment steps`,
-    ),
-  ];
-  while (flat && cells.length % 3) cells.push(h("div"));
-  return h("div", { class: ["stats", flat && "flat", "six"] }, cells);
+  const trained = stat(
+    "Trained",
+    compact(card.steps),
+    "steps",
+    `${jobs}, ${duration(card.training_s)}`,
+    `${integer(card.steps)} environment steps`,
+  );
+  return h("div", { class: "stats six" }, headlineStats(card), trained);
 }
 
 /** A policy's aliases, robot and task as tags. */
 export const tags = (card) => [...card.aliases, card.task, card.robot].map((text) => h("span", { class: "tag" }, text));
 
+const ownerQuery = (card) => (card.owner ? query({ owner: card.owner }) : "");
+
 /** The address of a policy's page. */
-export const pageOf = (card) =>
-  `#/policies/${card.reference}${card.owner ? `?owner=${encodeURIComponent(card.owner)}` : ""}`;
+export const pageOf = (card) => `#/policies/${card.reference}${ownerQuery(card)}`;
 
-/** The jobs behind a policy in a line, first to last. */
-const descent = (card) =>
-  card.lineage.map((one) => `${one.task}, preset ${one.preset}, ${compact(one.steps)} steps`).join(" → ");
-
-function cardOf(card, chosen, choose) {
-  const href = pageOf(card);
-  const box = h("input", {
-    type: "checkbox",
-    checked: chosen.has(card.reference),
-    "aria-label": `Compare ${card.reference}`,
-    onchange: () => choose(card, box.checked),
-  });
-  return h(
-    "section",
-    { class: "card policy", "data-policy": card.name },
-    h("div", { class: "card-head wrap" }, h("h2", null, h("a", { href }, card.reference)), tags(card), box),
-    h("p", { class: "pad soft" }, "From random weights → ", descent(card)),
-    headlineBlock(card, true),
-    h(
-      "div",
-      { class: "row pad" },
-      h(
-        "a",
-        { class: "button small", href, "aria-label": `Watch it run: ${card.reference}` },
-        icon("play"),
-        "Watch it run",
-      ),
-    ),
+/** Play an episode of a policy in a dialog. */
+function watch(card) {
+  const stage = h("div", { class: "card" });
+  const close = h("button", { onclick: () => dialog.close() }, "Close");
+  const dialog = open(
+    card.reference,
+    h("p", { class: "soft" }, card.sentence),
+    stage,
+    h("div", { class: "row end" }, close),
   );
+  dialog.classList.add("wide");
+  const stopped = new AbortController();
+  const path = `policies/${encodeURIComponent(card.reference)}/replay${ownerQuery(card)}`;
+  const player = new Player(stage, { path, task: card.task, signal: stopped.signal });
+  dialog.addEventListener("close", () => {
+    stopped.abort();
+    player.destroy();
+  });
+}
+
+class PoliciesView {
+  constructor(root, { params, signal, go }) {
+    this.root = root;
+    this.signal = signal;
+    this.go = go;
+    this.chosen = new Set();
+    this.filter = { q: params.get("q") ?? "", robot: params.get("robot") ?? "", skill: params.get("skill") ?? "" };
+  }
+
+  async start() {
+    document.title = "Policies · naosprint";
+    this.bar = h("div", { class: "select-bar", hidden: true });
+    this.box = h("div", { class: "card" }, loading("Loading policies"));
+    this.search = h("input", {
+      type: "search",
+      placeholder: "Search name, sentence, task or owner",
+      "aria-label": "Search policies",
+      value: this.filter.q,
+      oninput: () => this.apply({ q: this.search.value.trim() }),
+    });
+    this.selects = Object.fromEntries(
+      [
+        ["robot", "Robot"],
+        ["skill", "Skill"],
+      ].map(([name, title]) => {
+        const control = h("select", {
+          "aria-label": title,
+          "data-filter": name,
+          onchange: () => this.apply({ [name]: control.value }),
+        });
+        return [name, control];
+      }),
+    );
+    fill(
+      this.root,
+      h(
+        "div",
+        { class: "page-head" },
+        h(
+          "div",
+          { class: "grow" },
+          h("h1", null, "Policies"),
+          h("p", { class: "soft" }, "Bundled policies, and the newest version of each that you have registered."),
+        ),
+      ),
+      h(
+        "div",
+        { class: "filters" },
+        h("div", { class: "search" }, icon("search"), this.search),
+        Object.values(this.selects),
+      ),
+      this.box,
+      this.bar,
+    );
+    await this.load();
+  }
+
+  async load() {
+    try {
+      [this.known, this.cards] = await Promise.all([descriptions(), every("policies", { signal: this.signal })]);
+      this.offer("robot", "Robot", new Map(this.cards.map((card) => [card.robot, this.robotOf(card)])));
+      this.offer("skill", "Skill", new Map(this.cards.map((card) => [this.skillOf(card), this.skillOf(card)])));
+      this.paint();
+    } catch (error) {
+      if (error.name !== "AbortError")
+        fill(
+          this.box,
+          problem(error, () => this.load()),
+        );
+    }
+  }
+
+  skillOf(card) {
+    return this.known.task(card.task)?.skill || words(card.task);
+  }
+
+  robotOf(card) {
+    return this.known.robot(card.robot)?.title ?? card.robot;
+  }
+
+  offer(name, title, options) {
+    const control = this.selects[name];
+    const entries = [...options].sort((a, b) => a[1].localeCompare(b[1]));
+    fill(
+      control,
+      h("option", { value: "" }, `Any ${title.toLowerCase()}`),
+      entries.map(([value, text]) => h("option", { value }, text)),
+    );
+    control.value = options.has(this.filter[name]) ? this.filter[name] : "";
+  }
+
+  apply(change) {
+    this.filter = { ...this.filter, ...change };
+    this.go(`/policies${query(this.filter)}`, { replace: true });
+    this.paint();
+  }
+
+  /** The address changes with the filter only. */
+  update({ path }) {
+    return path === "/policies";
+  }
+
+  fits(card) {
+    const { q, robot, skill } = this.filter;
+    const text = [card.reference, card.sentence, card.task, card.owner, ...card.aliases].join(" ").toLowerCase();
+    return (
+      (!robot || robot === card.robot) &&
+      (!skill || skill === this.skillOf(card)) &&
+      q
+        .toLowerCase()
+        .split(/\s+/)
+        .every((word) => text.includes(word))
+    );
+  }
+
+  choose(card, on) {
+    if (on) this.chosen.add(card.reference);
+    else this.chosen.delete(card.reference);
+    this.paintBar();
+  }
+
+  paintBar() {
+    const { size } = this.chosen;
+    this.bar.hidden = size === 0;
+    const clear = () => {
+      this.chosen.clear();
+      this.paintBar();
+      this.paint();
+    };
+    const href = `#/policies-compared?of=${[...this.chosen].join(",")}`;
+    fill(
+      this.bar,
+      h("span", null, `${size} selected`),
+      size > 1 ? h("a", { class: "button primary small", href }, "Compare") : null,
+      h("button", { class: "ghost small", onclick: clear }, "Clear"),
+    );
+  }
+
+  entry(card) {
+    const href = pageOf(card);
+    const box = h("input", {
+      type: "checkbox",
+      checked: this.chosen.has(card.reference),
+      "aria-label": `Compare ${card.reference}`,
+      onchange: () => this.choose(card, box.checked),
+    });
+    const results = card.results.length ? headline(card).slice(0, MOST_RESULTS) : [];
+    return h(
+      "div",
+      { class: "policy", "data-policy": card.name },
+      h(
+        "div",
+        { class: "row" },
+        box,
+        h("a", { class: "name", href }, card.reference),
+        card.aliases.map((a) => h("span", { class: "tag" }, a)),
+      ),
+      h("p", { class: "soft" }, card.sentence),
+      results.length
+        ? h("p", { class: "num" }, results.map((r) => `${r.title} ${withUnit(r, r.value)}`).join(", "))
+        : h("p", { class: "muted" }, "Not evaluated yet"),
+      card.episodes
+        ? h(
+            "button",
+            { class: "small", "aria-label": `Watch ${card.reference}`, onclick: () => watch(card) },
+            icon("play"),
+            "Watch",
+          )
+        : null,
+    );
+  }
+
+  paint() {
+    const cards = this.cards.filter((card) => this.fits(card));
+    if (!cards.length) {
+      fill(
+        this.box,
+        h(
+          "div",
+          { class: "empty" },
+          h("h2", null, this.cards.length ? "No matching policies" : "No policies are bundled with this version"),
+          h(
+            "p",
+            null,
+            this.cards.length ? "No policy matches this filter." : "Train one, and register a checkpoint of its job.",
+          ),
+        ),
+      );
+      return;
+    }
+    const skills = [...new Set(cards.map((card) => this.skillOf(card)))];
+    const robots = Map.groupBy(cards, (card) => this.robotOf(card));
+    // the skills that most robots have stand first, as do the robots with most skills
+    const count = (of) => new Set(cards.filter((card) => this.skillOf(card) === of).map((card) => card.robot)).size;
+    skills.sort((a, b) => count(b) - count(a) || a.localeCompare(b));
+    const breadth = (own) => new Set(own.map((card) => this.skillOf(card))).size;
+    const rows = [...robots].sort((a, b) => breadth(b[1]) - breadth(a[1]) || a[0].localeCompare(b[0]));
+    fill(this.box, this.table(rows, skills));
+  }
+
+  /** The table; `rows` are pairs of a robot and its cards. */
+  table(rows, skills) {
+    const cell = (own, skill) => {
+      const found = own.filter((card) => this.skillOf(card) === skill);
+      return h(
+        "td",
+        { "data-label": found.length ? skill : null },
+        found.map((card) => this.entry(card)),
+      );
+    };
+    const row = ([robot, own]) =>
+      h(
+        "tr",
+        null,
+        h("th", { scope: "row" }, robot),
+        skills.map((skill) => cell(own, skill)),
+      );
+    const headings = ["Robot", ...skills].map((title) => heading(title));
+    return scroller("Policies by robot and skill", table(headings, rows.map(row), { class: "policies" }));
+  }
 }
 
 /** Show the page in `root`. */
-export async function mount(root, { signal }) {
-  document.title = "Policies · naosprint";
-  const box = h("div", null, h("div", { class: "card" }, loading("Loading policies")));
-  const chosen = new Set();
-  const compare = h("a", { class: "button", hidden: true }, "Compare");
-  const choose = (card, on) => {
-    if (on) chosen.add(card.reference);
-    else chosen.delete(card.reference);
-    compare.hidden = chosen.size < 2;
-    compare.href = `#/policies-compared?of=${[...chosen].join(",")}`;
-  };
-  fill(
-    root,
-    h(
-      "div",
-      { class: "page-head" },
-      h(
-        "div",
-        { class: "grow" },
-        h("h1", null, "Policies"),
-        h(
-          "p",
-          { class: "soft" },
-          "Bundled policies, and the newest version of each that was registered from a job's checkpoints.",
-        ),
-      ),
-      compare,
-    ),
-    box,
-  );
-  const none = h(
-    "div",
-    { class: "card empty" },
-    h("h2", null, "No policies are bundled with this version"),
-    h("p", null, "Train one: a job's checkpoints can be watched, evaluated and exported too."),
-    h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")),
-  );
-  await refreshed(box, async () => {
-    const cards = await every("policies", { signal });
-    return cards.length
-      ? h(
-          "div",
-          { class: "charts" },
-          cards.map((card) => cardOf(card, chosen, choose)),
-        )
-      : none;
-  });
+export async function mount(root, context) {
+  const view = new PoliciesView(root, context);
+  await view.start();
+  return { update: (where) => view.update(where), destroy: () => {} };
 }

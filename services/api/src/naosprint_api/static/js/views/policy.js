@@ -264,7 +264,10 @@ export async function mount(root, { id, params, signal }) {
         section("How to use it", usage(card.reference)),
         card.owner && section("Versions", scroller("Versions", versionsTable(versions, card, promote))),
         evaluation
-          ? section(`Results of ${integer(card.episodes)} episodes`, scroller("Results", resultsTable(card, level)))
+          ? section(
+              `Results of ${integer(card.episodes)} episodes`,
+              scroller("Results", resultsTable(known.results(card), level)),
+            )
           : section("Results", h("p", { class: "pad" }, "Not evaluated yet: ", h("code", null, `naoctl eval ${id}`))),
         tableCards(card, level, (drawing) => keep(new Figure(drawing)).element),
         robustness(card).map(([title, rows]) => section(title, scroller(title, rows))),

@@ -37,13 +37,13 @@ export const resultStat = (r) => stat(r.title, metricText(r, r.value), shownUnit
 /** The headline of an evaluation or of a policy's card. */
 export const headlineStats = (summary) => headline(summary).map(resultStat);
 
-/** All results as a table; `level` names the intervals. */
-export function resultsTable(summary, level) {
+/** Results as a table; `level` names the intervals. */
+export function resultsTable(results, level) {
   const head = ["Result", "Value", `${level} interval`, "sd", "Least", "Most", "Episodes"];
   const text = (r, v) => (v === null || v === undefined ? NONE : metricText(r, v));
   return table(
     head.map((title, i) => heading(title, i > 0)),
-    summary.results.map((r) =>
+    results.map((r) =>
       h(
         "tr",
         { title: r.description },

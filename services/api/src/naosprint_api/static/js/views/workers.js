@@ -71,9 +71,10 @@ const row = (w) =>
     h(
       "td",
       null,
-      w.jobs.length + w.matches.length
+      w.jobs.length + w.evaluations.length + w.matches.length
         ? [
             ...w.jobs.map((id) => h("div", null, h("a", { class: "mono", href: `#/jobs/${id}` }, id))),
+            ...w.evaluations.map((id) => h("div", { class: "mono" }, id)),
             ...w.matches.map((id) => h("div", null, h("a", { class: "mono", href: `#/matches/${id}` }, id))),
           ]
         : h("span", { class: "muted" }, "nothing"),
