@@ -51,14 +51,14 @@ def test_a_drained_worker_shows_the_evaluation_and_the_match_that_it_still_runs(
     lease = run_job("alice")
     record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
     evaluation = client.post(f"/jobs/{lease.job_id}/evaluations").json()["id"]
-    match = client.post("/matches", json={"teams": ["default", "default"], "players": 1}).json()["id"]
-    registry.beat(sessions, "host:1:abc", host="host", pid=1, capabilities=EVERYTHING, version="1")
-    assert claim_work(sessions, Evaluation, evaluation, "host:1:abc") is not None
-    assert claim_work(sessions, Match, match, "host:1:abc") is not None
-    drained = admin.post("/workers/host:1:abc/drain", json={}).json()
+    match = client.post("/matches", json={"teams": ["example", "example"], "players": 1}).json()["id"]
+    registry.beat(sessions, "host:3:abc", host="host", pid=1, capabilities=EVERYTHING, version="1")
+    assert claim_work(sessions, Evaluation, evaluation, "host:3:abc") is not None
+    assert claim_work(sessions, Match, match, "host:3:abc") is not None
+    drained = admin.post("/workers/host:3:abc/drain", json={}).json()
     assert (drained["jobs"], drained["evaluations"], drained["matches"]) == ([], [evaluation], [match])
     for who, shown in ((client, [[evaluation], [match]]), (make_client("mallory", "read"), [[], []])):
-        (worker,) = who.get("/workers").json()["items"]
+        worker = next(each for each in who.get("/workers").json()["items"] if each["id"] == "host:3:abc")
         assert [worker["evaluations"], worker["matches"]] == shown
 
 

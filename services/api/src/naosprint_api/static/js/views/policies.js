@@ -244,14 +244,26 @@ class PoliciesView {
       );
       return;
     }
-    const skills = [...new Set(cards.map((card) => this.skillOf(card)))];
-    const robots = Map.groupBy(cards, (card) => this.robotOf(card));
-    // the skills that most robots have stand first, as do the robots with most skills
-    const count = (of) => new Set(cards.filter((card) => this.skillOf(card) === of).map((card) => card.robot)).size;
-    skills.sort((a, b) => count(b) - count(a) || a.localeCompare(b));
-    const breadth = (own) => new Set(own.map((card) => this.skillOf(card))).size;
-    const rows = [...robots].sort((a, b) => breadth(b[1]) - breadth(a[1]) || a[0].localeCompare(b[0]));
-    fill(this.box, this.table(rows, skills));
+    const skillOf = (card) => this.skillOf(card);
+    const robotOf = (card) => this.robotOf(card);
+    const robots = Map.groupBy(cards, robotOf);
+    const rows = this.ranked(robotOf, skillOf).filter((robot) => robots.has(robot));
+    const shown = new Set(cards.map(skillOf));
+    const skills = this.ranked(skillOf, robotOf).filter((skill) => shown.has(skill));
+    fill(
+      this.box,
+      this.table(
+        rows.map((robot) => [robot, robots.get(robot)]),
+        skills,
+      ),
+    );
+  }
+
+  /** The robots by their number of skills, or the skills by that of robots, the most first, whatever the filter. */
+  ranked(of, counted) {
+    const groups = Map.groupBy(this.cards, of);
+    const count = (name) => new Set(groups.get(name).map(counted)).size;
+    return [...groups.keys()].sort((a, b) => count(b) - count(a) || a.localeCompare(b));
   }
 
   /** The table; `rows` are pairs of a robot and its cards. */
