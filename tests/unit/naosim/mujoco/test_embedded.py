@@ -269,6 +269,7 @@ def test_a_missing_or_other_mujoco_is_named_with_its_remedy(
         return str(version) if name == package else installed(name)
 
     monkeypatch.setattr(metadata, "version", pretended)
+    library.cache_clear()  # as in a process that has not imported it yet
     with pytest.raises(MujocoUnavailableError, match=message):
         MujocoSimulator(T1, 1)
 

@@ -215,14 +215,18 @@ def test_episode_does_not_depend_on_its_neighbours(checkpoint: Path) -> None:
     np.testing.assert_allclose(short.x[:4], long.x[:4, :columns], atol=1e-6)
 
 
+SHORT = {"name": "velocity", "episode_steps": 250, "command_steps": 60}
+"""Episodes of 5 s, in which the command changes several times."""
+
+
 @pytest.mark.parametrize(
     ("policy", "task", "deterministic"),
     [
-        ("t1-run", {"name": "velocity", "push_mps": 0.5, "push_steps": 5, "sensor_noise": 1.0, "extra_delay": 1}, True),
+        ("t1-run", {**SHORT, "push_mps": 0.5, "push_steps": 5, "sensor_noise": 1.0, "extra_delay": 1}, True),
         (
             "t1-run",
             {
-                "name": "velocity",
+                **SHORT,
                 "mass_variation": 0.2,
                 "gain_variation": 0.2,
                 "centre_of_mass_m": 0.01,

@@ -212,6 +212,7 @@ def test_another_or_no_mujoco_is_named_with_the_command_that_installs_it(
         return installed
 
     no_programs.setattr(world.metadata, "version", version)
+    world.library.cache_clear()  # as in a process that has not imported it yet
     remedy = "run 'pip install mujoco==3.5.0 rcsssmj==0.2.1'"
     with pytest.raises(world.MujocoUnavailableError, match=rf"mujoco: version 3.5.0 is needed, {state}; {remedy}"):
         opened(robot="k1", simulator=simulator)

@@ -61,7 +61,7 @@ class MujocoBatch:
     ) -> None:
         from naosim.mujoco._mujoco import Worlds
 
-        self._mujoco = mujoco = library()  # which reads the versions of the packages: too slow for every episode
+        self._mujoco = mujoco = library()
         self.n = n
         self.world = world
         self._models = [world.model] * n

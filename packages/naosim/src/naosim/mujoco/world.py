@@ -83,8 +83,9 @@ def missing_packages() -> str:
     return ""
 
 
+@cache
 def library() -> Any:
-    """Import MuJoCo and return it.
+    """Import MuJoCo and return it; the versions are read once, which takes milliseconds.
 
     Raises:
         MujocoUnavailableError: if it or ``rcsssmj`` is missing or has another version.

@@ -169,34 +169,34 @@ def matrix(
     """
     for before in members:
         tell(f"states of {before.name}")
-        with _opened(before, engine, threads) as simulator:
+        with _opened(before, count, engine, threads) as simulator:
             task = get(before.spec.task.name)
             states = record(simulator, before.acting, task, before.task_settings, count, seed)
         for after in members:
             if after.spec.task.name == GetUp.name:
                 continue
             tell(f"{before.name} to {after.name}")
-            with _opened(after, engine, threads) as simulator:
+            with _opened(after, count, engine, threads) as simulator:
                 yield _transitions(simulator, before, after, states, seed)
     up = next((member for member in members if member.spec.task.name == GetUp.name), None)
     walker = next((member for member in members if member.spec.task.name == Velocity.name), None)
     if up is not None and walker is not None:
         tell(f"{LYING} to {up.name}")
-        with _opened(walker, engine, threads) as simulator:
+        with _opened(walker, count, engine, threads) as simulator:
             pushed = walker.task_settings.model_copy(update={"push_mps": _PUSH_MPS, "push_steps": _PUSH_STEPS})
             states = record_lying(simulator, walker.acting, Velocity, pushed, count, seed)
-        with _opened(up, engine, threads) as simulator:
+        with _opened(up, count, engine, threads) as simulator:
             yield _transitions(simulator, replace(walker, name=LYING), up, states, seed)
 
 
 class _opened:  # used like a function
-    """A simulator for a skill, which is closed afterwards."""
+    """A simulator for ``count`` transitions of a skill, which is closed afterwards."""
 
-    def __init__(self, skill: Skill, engine: str, threads: int) -> None:
+    def __init__(self, skill: Skill, count: int, engine: str, threads: int) -> None:
         settings = skill.spec.simulator.model_copy(update={"engine": engine})
         kind = kinds.get(settings.name)
         robot, scene = robots.configured(skill.spec.robot), get(skill.spec.task.name).scene
-        self._simulator = kind.open(robot, _PARALLEL, settings, RuntimeOptions(threads=threads), scene)
+        self._simulator = kind.open(robot, min(_PARALLEL, count), settings, RuntimeOptions(threads=threads), scene)
 
     def __enter__(self) -> Simulator:
         return self._simulator
@@ -232,7 +232,7 @@ class _Entered(Environment):
 
     def __init__(self, simulator: Simulator, skill: Skill, states: HandOver, seed: int) -> None:
         task = get(skill.spec.task.name)
-        super().__init__(simulator, task, task.resolve(skill.task_settings, simulator.robot), seed, compiled=False)
+        super().__init__(simulator, task, task.resolve(skill.task_settings, simulator.robot), seed)
         self._entry = states
         if isinstance(self.task, BallTask):
             self.load_starts(self.task.enter(states))

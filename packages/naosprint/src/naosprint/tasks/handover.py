@@ -85,7 +85,7 @@ def record(
     Raises:
         ValueError: if the policy falls before one of its states can be recorded.
     """
-    environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed, compiled=False)
+    environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed)
     by_itself = task.skill_over is not Task.skill_over
     n, runs = simulator.n, count if by_itself else -(-count // STATES_PER_RUN)
     if by_itself or task.starts is not Task.starts:
@@ -138,7 +138,7 @@ def record_lying(
     Raises:
         ValueError: if no robot falls.
     """
-    environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed, compiled=False)
+    environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed)
     n = simulator.n
     environment.load_starts(Starts(draw_start_poses(environment.actuation, 64, settings.start_noise_deg, seed)))
     kept: list[_State] = []

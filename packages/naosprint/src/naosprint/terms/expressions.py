@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, TypeAlias, Union
 
 import numpy as np
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 Operand: TypeAlias = Union["Number", float, Sequence[float]]
 """What functions take: numbers of each robot, or the same ones for all."""
+
+_Operation: TypeAlias = "Callable[[slice | IntArray, Sequence[FloatArray]], FloatArray]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +63,19 @@ class Number:
 
     def __call__(self, rows: slice | IntArray) -> FloatArray:
         """Return the (k, width) numbers of the robots ``rows``."""
-        return _evaluated(self, rows, {})
+        values: list[FloatArray] = []
+        for compute in self._operations:
+            values.append(compute(rows, values))
+        return values[-1] if values[-1].flags.writeable else values[-1].copy()
+
+    @cached_property
+    def _operations(self) -> tuple[_Operation, ...]:
+        """What computes this number with NumPy, one after the other, from the values of those before."""
+        order = _in_order(self, {})
+        index = {identity: i for i, identity in enumerate(order)}
+        return tuple(
+            _operation(number, [index[id(argument)] for argument in number.arguments]) for number in order.values()
+        )
 
     def __getitem__(self, columns: int | slice | Sequence[int]) -> Number:
         """Return some of the numbers."""
@@ -139,8 +154,10 @@ class Store:
         if number is None:
             return
         array = self.target.array
-        values = np.broadcast_to(number(rows), (len(array[rows]), self.target.width))
-        array[rows] = values.reshape(array[rows].shape).astype(array.dtype)
+        chosen, values = array[rows], number(rows)
+        if values.size != chosen.size:
+            values = np.broadcast_to(values, (len(chosen), self.target.width))
+        array[rows] = values.reshape(chosen.shape).astype(array.dtype, copy=False)
 
 
 def source(array: AnyArray | Callable[[], AnyArray], label: str = "") -> Number:
@@ -349,7 +366,7 @@ FUNCTIONS: Mapping[str, Callable[..., AnyArray]] = {
     "arctan2": _of_the_c_library(math.atan2, 2),
     **{name: getattr(np, name) for name in _ELEMENTWISE},
 }
-"""Functions of (k, width) arrays by name, besides those that `_evaluated` treats."""
+"""Functions of (k, width) arrays by name, besides those that `_operation` treats."""
 
 
 _OF_CONSTANTS: Mapping[str, Callable[..., AnyArray]] = {
@@ -360,30 +377,65 @@ _OF_CONSTANTS: Mapping[str, Callable[..., AnyArray]] = {
 """Functions that depend on the number's constants or width, too."""
 
 
-def _evaluated(number: Number, rows: slice | IntArray, known: dict[int, FloatArray]) -> FloatArray:
-    """Return (k, width) numbers; ``known`` has those that are computed already, by identity."""
-    if id(number) in known:
-        return known[id(number)]
-    arguments = [_evaluated(argument, rows, known) for argument in number.arguments]
-    values: AnyArray
-    if number.function == "source":
-        chosen = number.array[rows]
-        width = int(np.prod(chosen.shape[1:], dtype=np.int64))
-        values = chosen.reshape(len(chosen), width)[:, np.array(number.constants, dtype=np.int64)]
-    elif number.function == "constant":
-        values = np.array([number.constants])
-    elif number.function == "given":
-        values = arguments[0]
-    elif number.function == "columns":
-        values = arguments[0][:, np.array(number.constants, dtype=np.int64)]
-    elif number.function == "stack":
-        k = max(map(len, arguments))
-        values = np.concatenate([np.broadcast_to(each, (k, each.shape[1])) for each in arguments], axis=1)
-    elif number.function in _OF_CONSTANTS:
-        values = _OF_CONSTANTS[number.function](number, *arguments)
-    elif number.compute is not None:
-        values = number.compute(*arguments)
-    else:
-        values = FUNCTIONS[number.function](*arguments)
-    known[id(number)] = found = np.asarray(values, dtype=np.float64)
+def _in_order(number: Number, found: dict[int, Number]) -> dict[int, Number]:
+    """Return a number and all that it is computed from, by identity, arguments first."""
+    if id(number) not in found:
+        for argument in number.arguments:
+            _in_order(argument, found)
+        found[id(number)] = number
     return found
+
+
+def _operation(number: Number, at: Sequence[int]) -> _Operation:
+    """Return what computes a number's (k, width) values from those before; ``at`` are the indices of its arguments."""
+    if number.function == "source":
+        return _read(number)
+    if number.function == "constant":
+        shared = np.array([number.constants])
+        shared.flags.writeable = False
+        return lambda rows, values: shared
+    if number.function == "given":
+        return lambda rows, values: values[at[0]]
+    if number.function == "columns":
+        chosen = _columns(number)
+        return lambda rows, values: values[at[0]][:, chosen]
+    if number.function == "stack":
+        return lambda rows, values: _stacked([values[each] for each in at])
+    function = _function(number)
+    match at:
+        case [only]:
+            return lambda rows, values: np.asarray(function(values[only]), dtype=np.float64)
+        case [left, right]:
+            return lambda rows, values: np.asarray(function(values[left], values[right]), dtype=np.float64)
+    return lambda rows, values: np.asarray(function(*[values[each] for each in at]), dtype=np.float64)
+
+
+def _function(number: Number) -> Callable[..., AnyArray]:
+    if number.function in _OF_CONSTANTS:
+        return partial(_OF_CONSTANTS[number.function], number)
+    return FUNCTIONS[number.function] if number.compute is None else number.compute
+
+
+def _read(number: Number) -> _Operation:
+    columns = _columns(number)
+
+    def values(rows: slice | IntArray, values: Sequence[FloatArray]) -> FloatArray:
+        chosen = number.array[rows]
+        if chosen.ndim != 2:
+            chosen = chosen.reshape(len(chosen), math.prod(chosen.shape[1:]))
+        return np.array(chosen[:, columns], dtype=np.float64)
+
+    return values
+
+
+def _columns(number: Number) -> slice | IntArray:
+    """Return the indices of columns, as a slice where they follow each other."""
+    first, *others = columns = [int(column) for column in number.constants]
+    if others == list(range(first + 1, first + len(columns))):
+        return slice(first, first + len(columns))
+    return np.array(columns, dtype=np.int64)
+
+
+def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
+    k = max(map(len, parts))
+    return np.concatenate([part if len(part) == k else np.broadcast_to(part, (k, part.shape[1])) for part in parts], 1)
