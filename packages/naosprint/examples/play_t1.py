@@ -12,7 +12,7 @@ import socket
 import sys
 
 import numpy as np
-from run_policy_t1 import Runner, enter, receive, require_start, send
+from run_policy_t1 import PolicyAgent, enter, receive, require_start, send
 
 START_X = -5.0
 ARRIVED_M, FASTEST_MPS, TURN_RAD_S, PATIENCE_S = 0.4, 1.5, 1.0, 60.0
@@ -25,7 +25,7 @@ def wrapped(angle):
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-class Player(Runner):
+class Player(PolicyAgent):
     """A robot that follows commands: forward and sideways speed in m/s, turn rate in rad/s."""
 
     def begin(self):
@@ -63,7 +63,7 @@ class Player(Runner):
         self.give((speed, 0.0, np.clip(1.5 * bearing, -TURN_RAD_S, TURN_RAD_S)))
 
 
-class Riser(Runner):
+class Riser(PolicyAgent):
     """A robot that gets up; it observes the time since it began."""
 
     def begin(self):

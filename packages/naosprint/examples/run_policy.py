@@ -15,7 +15,7 @@ FALLEN_M = 0.25
 START, YAW_DEG, LENGTH = (-14.0, 0.0), -90.0, 28.0
 
 
-class Runner:
+class PolicyAgent:
     """Convert a server's messages to observations, and observations to joint speeds."""
 
     def __init__(self, path):
@@ -104,7 +104,7 @@ def enter(agent, robot_type):
 
 
 def main(path, host="127.0.0.1", agent_port=3100, monitor_port=3200):
-    runner = Runner(path)
+    runner = PolicyAgent(path)
     agent, monitor = (socket.create_connection((host, int(port))) for port in (agent_port, monitor_port))
     message, side = enter(agent, runner.robot_type)
     torso, (x, y), z = None, START, runner.standing_height_m + runner.drop_m

@@ -15,7 +15,7 @@ NOISE_DEG = 2.0  # a symmetric policy does not run from a perfectly symmetric st
 BEAM_MODES = "BeforeKickOff", "Goal_Left", "Goal_Right"
 
 
-class Runner:
+class PolicyAgent:
     """Convert a server's messages to observations, and observations to commands."""
 
     def __init__(self, path, lane=0.0, side=1.0):  # side -1: the right team, whose field is turned by 180 degrees
@@ -106,7 +106,7 @@ def require_start(runner, x, y):
 
 def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="naosprint", number=2, lane=0.0):
     agent, monitor, side = enter(host, agent_port, monitor_port, np.load(path)["model"], team, number)
-    runner = Runner(path, float(lane), side)
+    runner = PolicyAgent(path, float(lane), side)
 
     def step(targets, beam=""):
         send(agent, beam + runner.command(targets))

@@ -88,7 +88,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[np.ndarray,
         agent: Any = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(agent)
         agent.NOISE_DEG = 0.0
-        observe, act = agent.Runner.observe, agent.Runner.act
+        observe, act = agent.PolicyAgent.observe, agent.PolicyAgent.act
         observations: list[np.ndarray] = []
         actions: list[np.ndarray] = []
         targets: list[np.ndarray] = []
@@ -102,8 +102,8 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[np.ndarray,
             actions.append(self.action)
             return targets[-1]
 
-        monkeypatch.setattr(agent.Runner, "observe", watched_observe)
-        monkeypatch.setattr(agent.Runner, "act", watched_act)
+        monkeypatch.setattr(agent.PolicyAgent, "observe", watched_observe)
+        monkeypatch.setattr(agent.PolicyAgent, "act", watched_act)
         agent.main(path, address.host, address.agent_port, address.monitor_port)
         return np.array(observations), np.array(actions), np.array(targets)
 
@@ -278,7 +278,7 @@ def test_the_player_observes_and_commands_as_task_velocity_does(
         return seen[-1]
 
     def watched_act(self: Any, observation: np.ndarray) -> Any:
-        targets = player.Runner.act(self, observation)
+        targets = player.PolicyAgent.act(self, observation)
         actions.append(self.action)
         return targets
 

@@ -77,7 +77,7 @@ def test_the_agent_observes_and_does_what_the_environment_does(robot: str, side:
     environment = open_environment(spec, 1, threads=1)
     policy, manifest = untrained(spec, environment)
     np.savez(tmp_path / "policy.npz", **policy_arrays(policy, manifest))
-    runner: Any = load_agent().Runner(tmp_path / "policy.npz", 3.0, side)
+    runner: Any = load_agent().PolicyAgent(tmp_path / "policy.npz", 3.0, side)
     pose = environment.world.robot.nominal[None]
     heading = 0.0 if side > 0.0 else np.pi
     # beyond the finish line on the right side
@@ -119,7 +119,7 @@ def test_a_command_is_for_every_joint(robot: str, tmp_path: Path) -> None:
     policy, manifest = untrained(spec, environment)
     environment.close()
     np.savez(tmp_path / "policy.npz", **policy_arrays(policy, manifest))
-    runner: Any = load_agent().Runner(tmp_path / "policy.npz")
+    runner: Any = load_agent().PolicyAgent(tmp_path / "policy.npz")
     description: Robot = robots.get(robot)
     nodes = [node.split() for node in runner.command(runner.start_pose_rad)[1:-1].split(")(")]
     assert [node[0] for node in nodes] == [joint.effector for joint in description.joints]

@@ -331,7 +331,7 @@ def test_example_agent_sees_and_does_what_the_environment_does(
     environment.load_starts(environment.task.starts(1, 0, 2.0))
     environment.restart(np.arange(1), np.zeros(1, dtype=np.int64))
     actuation = environment.actuation
-    runner: Any = agent.Runner(exported / "policy.npz")
+    runner: Any = agent.PolicyAgent(exported / "policy.npz")
     rng = np.random.default_rng(1)
     for step in range(400):
         pose = np.eye(4)
@@ -360,7 +360,7 @@ def test_example_agent_sees_and_does_what_the_environment_does(
 def test_exported_kinematics_give_the_centre_of_mass(robot_type: int, exported: Path, agent: ModuleType) -> None:
     """For every robot type the example's forward kinematics are the engine's."""
     model = nao_model.model(robot_type)
-    runner: Any = agent.Runner(exported / "policy.npz")
+    runner: Any = agent.PolicyAgent(exported / "policy.npz")
     vars(runner).update(kinematics(model))
     rng = np.random.default_rng(robot_type)
     for angles in rng.uniform(model.low_deg, model.high_deg, (5, len(model.joints))):

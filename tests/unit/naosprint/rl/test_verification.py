@@ -75,3 +75,10 @@ def test_what_is_no_segment_is_refused(make_spec: Make, tmp_path: Path) -> None:
             verify(earlier, later)
     with pytest.raises(CheckpointError, match="not a folder with two checkpoints"):
         last_two(end)
+    manifest = read_manifest(end)
+    policy, learner, environment = (read_file(end, manifest, name) for name in (POLICY, LEARNER, ENVIRONMENT))
+    fields = {name: getattr(manifest, name) for name in TrainingState.__slots__ if hasattr(manifest, name)}
+    state = TrainingState(**fields, policy=policy, learner=learner, environment=environment, others=(learner,))
+    shared = save_checkpoint(tmp_path / "shared", spec, state)
+    with pytest.raises(CheckpointError, match="shared: trained by 2 processes; only one is verified"):
+        verify(middle, shared)

@@ -60,9 +60,13 @@ def verify(earlier: Path, later: Path, progress: Callable[[int], None] = lambda 
         progress: called with the environment steps so far.
 
     Raises:
-        CheckpointError: if one is damaged, or they are not of the same training.
+        CheckpointError: if one is damaged, they are not of the same training, or several processes trained them: the
+            bits depend on their number, which is no setting of the specification but recorded in every checkpoint.
     """
     start, end = read_manifest(earlier), read_manifest(later)
+    for folder, manifest in ((earlier, start), (later, end)):
+        if manifest.processes > 1:
+            raise CheckpointError(f"{folder}: trained by {manifest.processes} processes; only one is verified")
     if start.steps >= end.steps:
         raise CheckpointError(f"{later}: has {end.steps:,} steps, not more than {earlier}, which has {start.steps:,}")
     reporter = _Steps(progress)

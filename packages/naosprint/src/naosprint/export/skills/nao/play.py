@@ -19,7 +19,7 @@ from behaviors.custom.Naosprint.Naosprint import FALLEN_M, Naosprint
 START_X, LENGTH, LIMIT_S = -14.0, 28.0, 60.0
 
 
-class Monitor:
+class MonitorPort:
     """Connection to the monitor port that asks for the scene in every cycle."""
 
     def __init__(self, host, port):
@@ -86,7 +86,7 @@ def run(options):
     )
     skill = Naosprint(agent)
     agent.behavior.behaviors["Naosprint"] = (skill.description, skill.auto_head, skill.execute, skill.is_ready)
-    monitor, robot = Monitor(options.host, options.monitor_port), agent.world.robot
+    monitor, robot = MonitorPort(options.host, options.monitor_port), agent.world.robot
     if not agent.world.team_side_is_left:
         monitor.turned = np.diag([-1.0, -1.0, 1.0, 1.0])
     if not options.localization:
