@@ -117,6 +117,30 @@ def test_a_substep_is_mj_steps_from_violent_states(robot: Robot, scene: Scene, v
         assert any(data.sensordata[-4] for data in batch.data), "a ball touches a robot"
 
 
+@pytest.mark.parametrize(("robot", "scene"), CASES)
+def test_a_model_varied_again_is_one_varied_from_the_start(robot: Robot, scene: Scene) -> None:
+    world = world_of(robot, engine="fast", scene=scene)
+    usual = copy.copy(world.model)
+    strong = Variation(0.3, 0.3, 0.05, friction=0.5, gravity=0.9, stiffness=0.4)
+    for other in (Variation(0.1, 0.1, 0.01, friction=0.8, stiffness=0.7), Variation()):
+        fresh = world.varied(other, np.random.default_rng(2))
+        used = world.varied(strong, np.random.default_rng(1))
+        assert not equal_models(used.model, fresh.model)
+        again = world.varied(other, np.random.default_rng(2), used.model)
+        assert again.model is used.model and equal_models(again.model, fresh.model)
+        assert again.stiffness == fresh.stiffness
+    assert equal_models(world.model, usual)
+
+
+def equal_models(one: Any, other: Any) -> bool:
+    """Return whether two models are the same bits."""
+    sizes = [library().mj_sizeModel(model) for model in (one, other)]
+    buffers = [np.zeros(size, dtype=np.uint8) for size in sizes]
+    for model, buffer in zip((one, other), buffers, strict=True):
+        library().mj_saveModel(model, None, buffer)
+    return buffers[0].tobytes() == buffers[1].tobytes()
+
+
 def test_a_cycle_is_mj_steps() -> None:
     world, rng = world_of(T1, engine="fast"), np.random.default_rng(8)
     batch = filled(world, T1, 120)

@@ -260,13 +260,33 @@ def test_disturbances_grow_with_success_and_shrink_with_failures(engine: Engine)
     assert np.abs(run(growing, 12) - run(ideal, 12)).max() > 0.01
 
 
-def test_growing_disturbances_continue_after_a_checkpoint() -> None:
-    environment = environment_of(engine="fast", **GROWING)
+def test_worlds_are_drawn_once_for_a_robot_or_for_every_episode() -> None:
+    settings = {"mass_variation": 0.3, "friction_min": 0.4, "friction_max": 0.8, "undisturbed_fraction": 0.5}
+    for by_episode in (False, True):
+        environment = environment_of(12, engine="fast", episode_worlds=by_episode, **settings)
+        batch, disturbed = environment.simulator.batch, environment.disturbances._disturbed  # type: ignore[attr-defined]
+        assert disturbed.any() and not disturbed.all()
+        found = []
+        for _ in range(3):
+            after_episodes(environment, 1, failed=False)
+            friction = environment.disturbances._world[:, 0]
+            masses = np.array([batch._models[row].body_mass for row in range(environment.n)])
+            found.append(np.column_stack([friction, masses]))
+        assert (found[0][~disturbed] == found[1][~disturbed]).all()
+        assert (found[0][:, 0] == 1.0).tolist() == (~disturbed).tolist()
+        assert (found[0] != found[1])[disturbed][:, 0].all() == by_episode
+        assert len(np.unique(np.array(found)[:, disturbed, 0])) == (3 if by_episode else 1) * disturbed.sum()
+
+
+@pytest.mark.parametrize("growth", [0.0, 0.25])
+def test_worlds_of_episodes_continue_after_a_checkpoint(growth: float) -> None:
+    settings = {**GROWING, "disturbance_growth": growth, "episode_worlds": True}
+    environment = environment_of(engine="fast", **settings)
     after_episodes(environment, 20, failed=False)
     after_episodes(environment, 1, failed=True)
     run(environment, 3)
     state = {name: array.copy() for name, array in environment.state().items()}
-    resumed = environment_of(engine="fast", **GROWING)
+    resumed = environment_of(engine="fast", **settings)
     resumed.load_state(state)
     for _ in range(2):
         np.testing.assert_array_equal(run(resumed, 10), run(environment, 10))

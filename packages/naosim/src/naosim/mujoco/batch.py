@@ -179,6 +179,11 @@ class MujocoBatch:
         if self._kernel:
             self._worlds.set_numbers(row, varied_numbers(world))
 
+    def own_model(self, row: int) -> Any:
+        """Return the model of a world that differs from the others; None if it has the model of all."""
+        model = self._models[row]
+        return None if model is self.world.model else model
+
     @property
     def left_to_mujoco(self) -> int:
         """Number of substeps that the kernel left to ``mj_step``; see docs/explanation/engine.md."""

@@ -270,7 +270,7 @@ class MujocoSimulator(Simulator):
         self.require_open()
         numbers = range(self.n) if rows is None else rows.tolist()
         for row, variation in zip(numbers, variations, strict=True):
-            self.batch.set_world(row, self.world.varied(variation, rng))
+            self.batch.set_world(row, self.world.varied(variation, rng, self.batch.own_model(row)))
 
     # worlds can diverge
 

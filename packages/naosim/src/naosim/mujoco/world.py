@@ -97,6 +97,18 @@ def library() -> Any:
     return mujoco
 
 
+_VARIED = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "geom_friction",
+    "geom_solref",
+    "actuator_gainprm",
+    "actuator_biasprm",
+)
+"""Arrays of a model that variations change, besides gravity and what MuJoCo computes from them."""
+
+
 @dataclass(frozen=True)
 class MujocoWorld:
     """A compiled world with one robot.
@@ -137,14 +149,26 @@ class MujocoWorld:
         set_gains(model, kp, kd)
         return replace(self, model=model)
 
-    def varied(self, variation: Variation, rng: np.random.Generator) -> MujocoWorld:
+    def varied(self, variation: Variation, rng: np.random.Generator, used: Any = None) -> MujocoWorld:
         """Return the world with another robot and other ground.
+
+        Args:
+            variation: what differs, and how much.
+            rng: draws how.
+            used: model of an earlier variation of this world, which is changed; without one the model is copied, with
+                its meshes.
 
         Raises:
             ValueError: if contacts cannot be so stiff with MuJoCo's steps.
         """
         mujoco = library()
-        model = copy.copy(self.model)
+        if used is None:
+            model = copy.copy(self.model)
+        else:
+            model = used
+            for name in _VARIED:
+                getattr(model, name)[:] = getattr(self.model, name)
+            model.opt.gravity[:] = self.model.opt.gravity
         bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(PREFIX)]
         factors = 1.0 + variation.masses * rng.uniform(-1.0, 1.0, len(bodies))
         model.body_mass[bodies] *= factors

@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
 _STREAM = 0xD157
 
-_EPISODES_PER_WORLD = 16
-"""Episodes after which bodies and ground are drawn again while disturbances grow: a draw takes milliseconds."""
-
 NOISE = {
     "joint_angles": 0.5,
     "joint_speeds": 5.0,
@@ -162,8 +159,14 @@ class DisturbanceSettings(TaskSettings):
         le=1.0,
         title="Growth of disturbances",
         description="A robot's disturbances begin without strength; every episode that does not fail adds this "
-        "fraction of their full strength, and every one that fails takes it away. Bodies and ground are drawn again "
-        "every 16 episodes. 0: full strength from the start. The extra delay's lower end and gravity do not grow.",
+        "fraction of their full strength, and every one that fails takes it away. 0: full strength from the start. The "
+        "extra delay's lower end and gravity do not grow.",
+    )
+    episode_worlds: bool = Field(
+        default=False,
+        title="World of each episode",
+        description="Whether bodies, motors, friction and stiffness are drawn for every episode, as they always are "
+        "when disturbances grow; otherwise once for each robot.",
     )
 
     @model_validator(mode="after")
@@ -238,6 +241,7 @@ class Disturbances:
         self._stiffness: FloatArray = np.ones((n, 1))  # factor of that of contacts
         self._acts: FloatArray = np.full((n, 1), float(self._least))  # the delay as an observation
         self._grows = settings.disturbance_growth > 0.0
+        self._redraws = self._grows or settings.episode_worlds
         self._strength: FloatArray = np.full(n, 0.0 if self._grows else 1.0)
         self._drawn_at: FloatArray = np.stack(
             [np.zeros(n), self._strength], axis=1
@@ -249,10 +253,12 @@ class Disturbances:
             self.arrays["waiting"] = self._waiting
         if self._drawn:
             self.arrays.update(delay=self._delay, acts=self._acts)
-        if self._drawn or self._grows:
+        if self._drawn or self._redraws:
             self.arrays["episode"] = self._episode
+        if self._redraws:
+            self.arrays["drawn_at"] = self._drawn_at
         if self._grows:
-            self.arrays.update(strength=self._strength, drawn_at=self._drawn_at)
+            self.arrays["strength"] = self._strength
         self._softens = (settings.stiffness_min, settings.stiffness_max) != (1.0, 1.0)
         self._varies = bool(
             settings.mass_variation
@@ -264,7 +270,7 @@ class Disturbances:
         if self._varies:
             rng, rows = np.random.default_rng([_STREAM, seed]), np.flatnonzero(self._disturbed)
             self._world[rows, 1] = np.linspace(settings.gravity_min, 1.0, n)[rows]
-            if not self._grows:
+            if not self._redraws:
                 self._world[rows, 0] = rng.uniform(settings.friction_min, settings.friction_max, n)[rows]
                 self._draw_stiffness(rows, rng)
                 simulator.vary([self._variation(row) for row in rows.tolist()], rng, rows)
@@ -313,24 +319,23 @@ class Disturbances:
         return np.asarray(chance >= self._settings.undisturbed_fraction)
 
     def grow(self, rows: IntArray, ran: BoolArray, failed: BoolArray) -> None:
-        """Change how strong the robots ``rows`` are disturbed, and draw the world of those that are due.
+        """Change how strong the robots ``rows`` are disturbed, and draw the worlds of their next episodes.
 
         Args:
             rows: (k,) robots whose next episodes begin.
             ran: (k,) whether they have run an episode.
             failed: (k,) whether it failed.
         """
-        if not self._grows:
+        if not self._redraws:
             return
-        growth, episodes = self._settings.disturbance_growth, self._episode[rows]
+        growth = self._settings.disturbance_growth
         change = np.where(ran, np.where(failed, -growth, growth), 0.0)
         self._strength[rows] = np.clip(self._strength[rows] + change, 0.0, 1.0)
-        due = rows[(episodes + self._streams[rows]) % _EPISODES_PER_WORLD == 0]
-        self._drawn_at[due] = np.stack([self._episode[due], self._strength[due]], axis=1)
-        self._draw_worlds(due)
+        self._drawn_at[rows] = np.stack([self._episode[rows], self._strength[rows]], axis=1)
+        self._draw_worlds(rows)
 
     def _draw_worlds(self, rows: IntArray) -> None:
-        """Draw bodies and ground of the robots ``rows`` as they were due."""
+        """Draw bodies and ground of the robots ``rows`` for their present episodes."""
         if not self._varies:
             return
         settings = self._settings
@@ -347,14 +352,14 @@ class Disturbances:
         """Continue from the ``arrays`` of a checkpoint."""
         for name, array in self.arrays.items():
             array[:] = arrays[name]
-        if self._grows:
+        if self._redraws:
             self._draw_worlds(np.flatnonzero(self._drawn_at[:, 1]))
 
     def begin(self, rows: IntArray) -> None:
         """Discard the commands of earlier episodes of the robots ``rows``, and draw the delay of the new ones."""
         if len(self._waiting):
             self._waiting[:, rows] = self._simulator.robot.nominal
-        if self._drawn or self._grows:
+        if self._drawn or self._redraws:
             self._episode[rows] += 1
         if self._drawn:
             part = uniform(self._seed + _STREAM - 2, self._streams[rows], self._episode[rows], 1)[:, 0]
