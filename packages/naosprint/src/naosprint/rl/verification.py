@@ -61,7 +61,7 @@ def verify(earlier: Path, later: Path, progress: Callable[[int], None] = lambda 
 
     Raises:
         CheckpointError: if one is damaged, they are not of the same training, or several processes trained them: the
-            bits depend on their number, which is no setting of the specification but recorded in every checkpoint.
+            bits depend on their number, which is not a setting of the specification but recorded in every checkpoint.
     """
     start, end = read_manifest(earlier), read_manifest(later)
     for folder, manifest in ((earlier, start), (later, end)):
