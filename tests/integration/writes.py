@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from naojobs.database import Sessions
 from naojobs.leases import Lease
+from naojobs.models import Evaluation
 from naojobs.records import Batch, EventRecord, MetricsRow, StoredCheckpoint, write
+from naojobs.submission import EvaluationRequest, submit_evaluation
 
 
 def append_metrics(sessions: Sessions, lease: Lease, rows: Sequence[Mapping[str, float]]) -> None:
@@ -29,3 +32,8 @@ def record_checkpoint(sessions: Sessions, lease: Lease, *, step: int, key: str, 
     The same step of the same attempt keeps its id. Raises LeaseLostError.
     """
     return write(sessions, lease, Batch(checkpoints=[StoredCheckpoint(step, key, manifest)]))[step]
+
+
+def request_evaluation(sessions: Sessions, job_id: str, **fields: Any) -> Evaluation:
+    """Submit an evaluation of a job, with the given fields of the request; return it."""
+    return submit_evaluation(sessions, job_id, EvaluationRequest(**fields))[0]

@@ -34,7 +34,7 @@ from naosprint_api.settings import ApiSettings
 from sqlalchemy.orm import Session, sessionmaker
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
-from tests.integration.writes import append_metrics, record_checkpoint
+from tests.integration.writes import append_metrics, record_checkpoint, request_evaluation
 
 MIGRATIONS = Path(__file__).parents[2] / "migrations"
 LONGEST_LIST = 25
@@ -119,7 +119,7 @@ def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) ->
         manifest=manifest,
     )
     outcomes.transition(sessions, lease, WorkState.SUCCEEDED)
-    waiting = submission.request_evaluation(sessions, lease.job_id)
+    waiting = request_evaluation(sessions, lease.job_id)
     failed = _run(sessions, JobRequest(_spec(FAILED_SPEC)))
     outcomes.transition(sessions, failed, WorkState.FAILED, error="the training process ended with exit status 1")
     child = JobRequest(_spec(QUEUED_SPEC), EvaluationSpec(), parent_job_id=lease.job_id)

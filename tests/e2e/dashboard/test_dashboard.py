@@ -998,9 +998,58 @@ def test_a_study_shows_trials_curves_importance_and_front(
     assert browser.all("[data-part=trials] .tag"), "no trial is marked as best"
 
 
+def test_a_checkpoint_is_filmed_and_the_report_opens(
+    browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
+) -> None:
+    """A worker draws it; the tab opens it without a reload."""
+    token, job = finished
+    with stack.client(token) as client:
+        checkpoint = client.get(f"/jobs/{job['id']}/checkpoints").json()["items"][0]["id"]
+        browser.sign_in(token)
+        browser.open(f"/jobs/{job['id']}/checkpoints")
+        browser.find(f"tr[data-checkpoint='{checkpoint}'] button[title^='Run a few']").click()
+        browser.shows("will be filmed", "#toasts")
+        browser.open(f"/jobs/{job['id']}/report")
+        browser.find("iframe.report", 400)
+        (asked,) = [each for each in client.get(f"/jobs/{job['id']}/evaluations").json()["items"] if each["report"]]
+    assert (asked["checkpoint_id"], asked["spec"]["episodes"]) == (checkpoint, 5)
+    assert {"report.html", "run.mp4", "replay.json"} <= {file["name"] for file in asked["files"]}
+    assert "Film" in [e.text for e in browser.all(".card-head button")]
+    assert browser.find("button[data-action=report]").is_enabled()
+
+
+def test_a_study_is_started_and_cancelled_in_the_browser(browser: Browser, token: str, client: httpx.Client) -> None:
+    browser.allowed += ["422"]
+    browser.sign_in(token)
+    browser.open("/studies")
+    browser.find("a[href='#/submit?study=1']").click()
+    browser.shows("New study", "h1")
+    browser.set("#f-spec-total-steps" if browser.all("#f-spec-total-steps") else "#f-spec-total_steps", "100M")
+    values = "input[aria-label='Values of the setting']"
+    browser.set(values, "5..1")
+    browser.find("form button[type=submit]").click()
+    browser.shows("Write a lower and a higher number", "[data-part=space]")
+    browser.set(values, "1e-4..20:log")
+    browser.find("form button[type=submit]").click()
+    browser.shows("learning_rate", "[data-part=space]")  # the service names the setting whose values it refuses
+    browser.set(values, "1e-4..1e-2:log")
+    browser.set("#f-search-trials", "3")
+    browser.set("#f-name", "from-the-form")
+    browser.find("form button[type=submit]").click()
+    browser.shows("from-the-form", "h1")
+    (study,) = client.get("/studies", params={"q": "from-the-form"}).json()["items"]
+    space = {"algorithm.learning_rate": {"type": "float", "low": 1e-4, "high": 1e-2, "log": True, "step": None}}
+    assert (study["spec"]["space"], study["spec"]["trials"]) == (space, 3)
+    assert [goal["metric"] for goal in study["spec"]["objectives"]] == ["top_speed_mps"]
+    next(e for e in browser.all(".page-head button") if e.text == "Cancel").click()
+    browser.find("dialog button[value=yes]").click()
+    browser.until(lambda: client.get(f"/studies/{study['id']}").json()["state"] == "cancelled")
+
+
 PAGES = (
     "/",
     "/submit",
+    "/submit?study=1",
     "/studies",
     "study",
     "/league",

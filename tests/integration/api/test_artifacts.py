@@ -14,7 +14,7 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import leases, outcomes, records, submission
+from naojobs import leases, outcomes, records
 from naojobs.leases import Lease
 from naojobs.models import Evaluation
 from naojobs.states import WorkState
@@ -24,7 +24,7 @@ from naospec.metrics import Metric, Result
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
-from tests.integration.writes import append_metrics
+from tests.integration.writes import append_metrics, request_evaluation
 
 CONTENT = {
     "checkpoint.json": b'{"format": 1}',
@@ -170,7 +170,7 @@ def test_no_name_leads_anywhere_else(
 def test_files_of_others_do_not_exist(
     make_client: Callable[..., httpx.Client], lease: Lease, checkpoint: str, sessions: sessionmaker[Session]
 ) -> None:
-    evaluation = submission.request_evaluation(sessions, lease.job_id)
+    evaluation = request_evaluation(sessions, lease.job_id)
     mallory = make_client("mallory", "submit")
     for path in (
         f"/checkpoints/{checkpoint}",

@@ -16,7 +16,6 @@ import schemathesis
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis.errors import Unsatisfiable
 from hypothesis.strategies import SearchStrategy
-from naojobs import submission
 from naojobs.leases import Lease
 from schemathesis import Case, GenerationMode
 from schemathesis.checks import not_a_server_error
@@ -27,7 +26,7 @@ from schemathesis.specs.openapi.checks import (
 )
 from sqlalchemy.orm import Session, sessionmaker
 
-from tests.integration.writes import append_metrics
+from tests.integration.writes import append_metrics, request_evaluation
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "4"))
 FUZZ_SEED = int(os.environ.get("FUZZ_SEED", "0"))
@@ -51,7 +50,7 @@ def known(
     """Path parameters of existing objects."""
     lease = run_job()
     checkpoint = save_checkpoint(lease, 1, {"a.json": b"{}"})
-    evaluation = submission.request_evaluation(sessions, lease.job_id)
+    evaluation = request_evaluation(sessions, lease.job_id)
     append_metrics(sessions, lease, [{"step": 1, "reward": 1.0}])
     return {"job_id": lease.job_id, "checkpoint_id": checkpoint, "evaluation_id": evaluation.id, "name": "a.json"}
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import outcomes, records, submission
+from naojobs import outcomes, records
 from naojobs.leases import Lease
 from naojobs.models import Evaluation, Log, Token
 from naojobs.states import WorkState
@@ -19,6 +19,7 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import request_evaluation
 
 
 def submit(client: httpx.Client, **body: Any) -> str:
@@ -107,7 +108,7 @@ def finished_report(
     """The id of a finished evaluation with a report."""
     lease = run_job()
     save_checkpoint(lease, 512, {"checkpoint.json": b"{}"})
-    row = submission.request_evaluation(sessions, lease.job_id)
+    row = request_evaluation(sessions, lease.job_id)
     claim = claim_work(sessions, Evaluation, row.id, "w")
     assert claim is not None
     outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
@@ -128,7 +129,7 @@ def test_a_report_opens_without_a_token_and_runs_nothing(
 ) -> None:
     lease = run_job()
     save_checkpoint(lease, 512, {"checkpoint.json": b"{}"})
-    waiting = submission.request_evaluation(sessions, lease.job_id)
+    waiting = request_evaluation(sessions, lease.job_id)
     assert client.post(f"/evaluations/{waiting.id}/report").status_code == 404, "it has not finished"
     opens = f"/evaluations/{finished_report}/report"
     assert make_client("mallory", "read").post(opens).status_code == 404

@@ -13,7 +13,7 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import leases, outcomes, records, requests, studies, submission, webhooks
+from naojobs import leases, outcomes, records, requests, studies, webhooks
 from naojobs.errors import ConflictError
 from naojobs.leases import Lease
 from naojobs.models import Delivery, Evaluation, Job, Webhook
@@ -27,6 +27,8 @@ from naosprint_api.deliveries import Deliverer
 from sqlalchemy import delete, text
 from sqlalchemy.orm import Session, sessionmaker
 from standardwebhooks import Webhook as Verifier
+
+from tests.integration.writes import request_evaluation
 
 Sessions = sessionmaker[Session]
 LOOPBACK = (ip_network("127.0.0.1/32"),)
@@ -169,7 +171,7 @@ def test_every_kind_of_change_is_reported(
         manifest={"files": []},
     )
     end_job(sessions, lease)
-    requested = submission.request_evaluation(sessions, lease.job_id)
+    requested = request_evaluation(sessions, lease.job_id)
     requests.request_cancel(sessions, Evaluation, requested.id)
     search = SearchSpec.model_validate({"space": {"gamma": {"type": "float", "low": 0.9, "high": 0.99}}})
     study, _ = studies.submit_study(sessions, StudyRequest(JobRequest(), search, "best"), owner="alice")

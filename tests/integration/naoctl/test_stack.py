@@ -14,6 +14,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,15 @@ class Shell:
     def job(self, name: str) -> dict[str, Any]:
         (found,) = self.api(f"/jobs?q={name}")["items"]
         return dict(found)
+
+    def study(self, name: str, reached: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Wait until a study, which has no stream, fulfills a condition; return it with its trials."""
+        (row,) = self.api(f"/studies?q={name}")["items"]
+        deadline = time.monotonic() + 300
+        while not reached(study := self.api(f"/studies/{row['id']}")):
+            assert study["state"] in ("running", "finished") and time.monotonic() < deadline, study
+            time.sleep(0.2)
+        return dict(study)
 
     def processes(self) -> list[psutil.Process]:
         """All processes of the stack except the supervisor."""
@@ -270,6 +280,50 @@ def test_cancel_ends_a_running_job(naoctl: Shell, stack: dict[str, Any]) -> None
     assert [item["state"] for item in naoctl.json("cancel", "endless", "--wait")] == ["cancelled"]
     naoctl("logs", "-f", "endless", code=ExitCode.JOB_CANCELLED)
     naoctl("pause", "endless", code=ExitCode.CONFLICT)
+
+
+SPACE = ["--space", "learning_rate=1e-4..1e-2:log"]
+
+
+def test_a_study_from_a_policy_is_extended(naoctl: Shell, job: dict[str, Any]) -> None:
+    naoctl("policies", "register", "runner", "tiny")
+    tuned = ["--objective", "distance_m", "--trials", "1", "--from-policy", "runner", "--name", "searched"]
+    started = naoctl.json("tune", *TINY, *EVAL, *SPACE, *tuned)
+    (first,) = naoctl.study("searched", lambda study: study["state"] == "finished")["trials"]
+    assert naoctl.json("study", "extend", "searched", "--trials", "2")["spec"]["trials"] == 2
+    study = naoctl.study("searched", lambda study: study["state"] == "finished")
+    assert [trial["state"] for trial in study["trials"]] == ["complete"] * 2
+    assert study["trials"][0] == first
+    jobs = [naoctl.api(f"/jobs/{trial['job_id']}") for trial in study["trials"]]
+    assert {(each["parent_policy"], each["group_id"]) for each in jobs} == {("runner@1", started["id"])}
+    shown = naoctl("study", "show", "searched").stdout
+    assert "2 of 2 ended" in shown and all(trial["job_id"] in shown for trial in study["trials"])
+    assert "searched" in naoctl("study", "list").stdout
+
+
+def test_cancel_ends_a_study_and_its_jobs(naoctl: Shell, stack: dict[str, Any]) -> None:
+    naoctl("tune", *ENDLESS, *SPACE, "--objective", "distance_m", "--trials", "5", "--name", "endless-study")
+    study = naoctl.study("endless-study", lambda study: bool(study["trials"]))
+    assert naoctl.json("study", "cancel", "endless-study")["state"] == "cancelled"
+    for trial in study["trials"]:
+        naoctl("watch", trial["job_id"], "--json", code=ExitCode.JOB_CANCELLED)
+    naoctl("study", "delete", "endless-study")
+    assert "endless-study" not in naoctl("study", "list").stdout
+
+
+def test_trials_are_asked_for_and_told(naoctl: Shell, stack: dict[str, Any]) -> None:
+    space = ["--space", "n_epochs=1..3", "--trials", "2", "--parallel", "1"]
+    naoctl("tune", *TINY, *space, "--objective", "score:max", "--elsewhere", "--name", "away")
+    for number, words in enumerate((["1.5"], ["--failed", "no power"])):
+        naoctl.study("away", lambda study, count=number + 1: len(study["trials"]) == count)
+        trial = naoctl.json("study", "ask", "away", "-o", "trial.json")
+        spec = json.loads((naoctl.home / "trial.json").read_text())["spec"]
+        assert trial["number"] == number and spec["algorithm"]["n_epochs"] == trial["params"]["n_epochs"]
+        naoctl("study", "ask", "away", code=ExitCode.CONFLICT)
+        naoctl("study", "tell", "away", str(number), *words)
+    study = naoctl.study("away", lambda study: study["state"] == "finished")
+    assert [(trial["state"], trial["values"]) for trial in study["trials"]] == [("complete", [1.5]), ("failed", None)]
+    assert study["best"] == [0]
 
 
 def test_a_killed_worker_is_replaced(naoctl: Shell, stack: dict[str, Any]) -> None:

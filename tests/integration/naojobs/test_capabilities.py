@@ -20,7 +20,7 @@ from sqlalchemy import delete, update
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
-from tests.integration.writes import record_checkpoint
+from tests.integration.writes import record_checkpoint, request_evaluation
 
 Sessions = sessionmaker[Session]
 
@@ -100,7 +100,7 @@ def test_evaluations_are_claimed_beside_jobs(sessions: Sessions, submit: Callabl
     record_checkpoint(sessions, trained.lease, step=1, key=trained.lease.id, manifest={"files": []})
     waiting = submit()
     spec = EvaluationSpec(task="sprint2")
-    evaluation = submission.request_evaluation(sessions, trained.lease.job_id, spec=spec).id
+    evaluation = request_evaluation(sessions, trained.lease.job_id, spec=spec).id
     assert (
         claimed(sessions, Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"]), models=[Evaluation]) is None
     )

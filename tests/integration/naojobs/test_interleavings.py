@@ -32,7 +32,7 @@ from sqlalchemy import func, select, text, update
 
 from tests.integration.attempts import claim_work
 from tests.integration.history import states_of, violations
-from tests.integration.writes import record_checkpoint
+from tests.integration.writes import record_checkpoint, request_evaluation
 
 REQUESTS = ("cancel", "pause", "resume", "retry", "delete")
 ENDS = ("finished", "crashed", "failed", "unavailable", "stalled", "memory", "crowded", "time_limit")
@@ -229,7 +229,7 @@ def test_evaluation_that_gives_way_to_a_training_waits_and_counts_no_attempt(con
     attempt = world.claim()
     assert attempt is not None
     attempt.do("checkpoint", Random(0))
-    asked = submission.request_evaluation(context.sessions, world.job_id).id
+    asked = request_evaluation(context.sessions, world.job_id).id
     claim = claim_work(context.sessions, Evaluation, asked, "worker")
     assert claim is not None
     run = Run(context, claim)

@@ -25,7 +25,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
-from tests.integration.writes import append_metrics, record_checkpoint, record_event
+from tests.integration.writes import append_metrics, record_checkpoint, record_event, request_evaluation
 
 Sessions = sessionmaker[Session]
 
@@ -310,7 +310,7 @@ def test_deleting_a_job_while_its_child_is_claimed_causes_no_deadlock(
 def test_deleting_a_job_while_its_evaluation_ends_causes_no_deadlock(sessions: Sessions, running: JobClaim) -> None:
     job_id = running.lease.job_id
     record_checkpoint(sessions, running.lease, step=10, key=f"{job_id}/10", manifest={"files": []})
-    evaluation = submission.request_evaluation(sessions, job_id)
+    evaluation = request_evaluation(sessions, job_id)
     claim = claim_work(sessions, Evaluation, evaluation.id, "w")
     assert claim is not None
     outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
@@ -620,7 +620,7 @@ def test_deleting_a_job_leaves_no_row_of_it(sessions: Sessions, running: JobClai
     append_metrics(sessions, running.lease, [{"step": 1, "reward": 2.0}])
     records.append_logs(sessions, running.lease, [records.LogLine("info", "x")])
     record_checkpoint(sessions, running.lease, step=1, key=f"{job_id}/1", manifest={"files": []})
-    submission.request_evaluation(sessions, job_id)
+    request_evaluation(sessions, job_id)
     outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
     requests.delete(sessions, job_id)
     with sessions.begin() as session:

@@ -20,7 +20,7 @@ from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
-from tests.integration.writes import append_metrics, record_checkpoint, record_event
+from tests.integration.writes import append_metrics, record_checkpoint, record_event, request_evaluation
 
 Sessions = sessionmaker[Session]
 
@@ -167,10 +167,10 @@ def test_an_evaluation_at_the_end_of_a_job(sessions: Sessions, lease: Lease) -> 
 
 def test_an_evaluation_on_request_from_claim_to_figures(sessions: Sessions, lease: Lease) -> None:
     with pytest.raises(ConflictError, match="no checkpoint yet"):
-        submission.request_evaluation(sessions, lease.job_id)
+        request_evaluation(sessions, lease.job_id)
     record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
     newest = record_checkpoint(sessions, lease, step=2, key=f"{lease.job_id}/2", manifest={"files": []})
-    evaluation = submission.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=5))
+    evaluation = request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=5))
     assert (evaluation.checkpoint_id, evaluation.state) == (newest, WorkState.QUEUED)
 
     with ThreadPoolExecutor(4) as pool:
@@ -192,7 +192,7 @@ def test_an_evaluation_on_request_from_claim_to_figures(sessions: Sessions, leas
 
 def test_an_evaluation_whose_workers_die_fails_at_last(sessions: Sessions, lease: Lease) -> None:
     record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
-    evaluation = submission.request_evaluation(sessions, lease.job_id)
+    evaluation = request_evaluation(sessions, lease.job_id)
     for _ in range(3):
         claim = claim_work(sessions, Evaluation, evaluation.id, "w")
         assert claim is not None
@@ -210,7 +210,24 @@ def test_a_checkpoint_of_another_job_is_not_evaluated(sessions: Sessions, lease:
     foreign = record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
     other, _ = submission.submit(sessions, JobRequest(), owner="alice")
     with pytest.raises(NotFoundError):
-        submission.request_evaluation(sessions, other.id, checkpoint_id=foreign)
+        request_evaluation(sessions, other.id, checkpoint_id=foreign)
+
+
+def test_an_attempt_with_other_software_says_so(sessions: Sessions) -> None:
+    """The first attempt has nothing to compare with, and a repeated write adds nothing."""
+    job, _ = submission.submit(sessions, JobRequest(max_attempts=10), owner="alice")
+    ran = [{"naosprint": "1", "numpy": "2.0"}, {"naosprint": "2", "numpy": "2.0", "commit": "abc"}]
+    for software in (ran[0], ran[0], ran[1]):
+        claim = claim_work(sessions, Job, job.id, "worker-1")
+        assert claim is not None
+        for _ in range(2):
+            outcomes.begin(sessions, claim.lease, step=0, software=software)
+        outcomes.lose(sessions, claim.lease, "the worker is gone")
+    changes = [event for event in rows(sessions, Event, job.id) if event.kind == "software_changed"]
+    assert [(event.attempt, event.data) for event in changes] == [(3, {"before": ran[0]})]
+    assert "commit none -> abc, naosprint 1 -> 2" in changes[0].message
+    with sessions() as session:
+        assert session.get_one(Job, job.id).software == ran[1]
 
 
 def test_the_registry_lists_who_is_alive_and_what_each_has_leased(sessions: Sessions, lease: Lease) -> None:
@@ -256,7 +273,7 @@ def test_a_batch_is_written_as_a_whole_or_not_at_all(sessions: Sessions, lease: 
 def evaluation(sessions: Sessions, lease: Lease) -> Evaluation:
     """An evaluation that waits."""
     record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
-    return submission.request_evaluation(sessions, lease.job_id, time_limit_s=7.0)
+    return request_evaluation(sessions, lease.job_id, time_limit_s=7.0)
 
 
 def test_an_evaluation_has_the_life_cycle_of_a_job(sessions: Sessions, evaluation: Evaluation) -> None:
@@ -285,7 +302,7 @@ def test_an_evaluation_has_the_life_cycle_of_a_job(sessions: Sessions, evaluatio
 def test_an_evaluation_is_cancelled_while_it_waits_or_when_its_worker_stops(
     sessions: Sessions, lease: Lease, evaluation: Evaluation
 ) -> None:
-    running = submission.request_evaluation(sessions, lease.job_id)
+    running = request_evaluation(sessions, lease.job_id)
     assert requests.request_cancel(sessions, Evaluation, evaluation.id).state is WorkState.CANCELLED
     assert claim_work(sessions, Evaluation, evaluation.id, "w") is None
     claim = claim_work(sessions, Evaluation, running.id, "w")

@@ -24,7 +24,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
-from tests.integration.writes import append_metrics, record_checkpoint
+from tests.integration.writes import append_metrics, record_checkpoint, request_evaluation
 
 Sessions = sessionmaker[Session]
 
@@ -104,7 +104,7 @@ def test_what_something_refers_to_and_the_best_are_kept(
     rewards: Iterable[tuple[int, float]] = ((300, 1.0), (500, 10.0), (700, 99.0), (1000, 9.5), (1800, -1.0))
     append_metrics(sessions, lease, [{"step": step, "reward": reward} for step, reward in rewards])
     append_metrics(sessions, lease, [{"step": 2000, "loss": 1.0}])
-    submission.request_evaluation(sessions, lease.job_id, checkpoint_id=ids[800])
+    request_evaluation(sessions, lease.job_id, checkpoint_id=ids[800])
     parent = JobRequest(parent_job_id=lease.job_id, parent_checkpoint_id=ids[1300], spec=TrainingSpec())
     submission.submit(sessions, parent, owner="alice")
     prune_checkpoints(sessions, lease, Retention(2))
@@ -159,7 +159,7 @@ def test_a_running_evaluation_keeps_its_files(
 ) -> None:
     save(300)
     outcomes.transition(sessions, lease, WorkState.CANCELLED)
-    asked = submission.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=1))
+    asked = request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=1))
     claim = claim_work(sessions, Evaluation, asked.id, "w")
     assert claim is not None
     key = evaluation_key(lease.job_id, asked.id, claim.lease.attempt)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from naojobs import registry, requests, submission
+from naojobs import registry, requests
 from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
 from naospec import EvaluationSpec
@@ -22,6 +22,8 @@ from naospec.processes import ProcessIdentity
 from naosprint_worker.orphans import FOLDER_VARIABLE, OWNER_VARIABLE
 from sqlalchemy import select, update
 from sqlalchemy.exc import IntegrityError
+
+from tests.integration.writes import request_evaluation
 
 from .conftest import ROLLOUT, Service, WorkerProcess
 
@@ -296,7 +298,7 @@ def test_an_evaluator_that_is_ended_has_not_evaluated(service: Service, tmp_path
     trained.terminate()
     (tmp_path / "sitecustomize.py").write_text(ENDS_THE_PROCESS.format(end="os._exit(0)"), encoding="utf-8")
     service.start_worker(PYTHONPATH=str(tmp_path), END_AT="evaluation.json")
-    evaluation = submission.request_evaluation(service.sessions, job_id, spec=EvaluationSpec(episodes=2, n_envs=2))
+    evaluation = request_evaluation(service.sessions, job_id, spec=EvaluationSpec(episodes=2, n_envs=2))
     with service.sessions.begin() as session:
         session.get_one(Evaluation, evaluation.id).max_attempts = 1
     service.wake_up(evaluation.id)

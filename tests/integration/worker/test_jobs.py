@@ -9,12 +9,14 @@ from pathlib import Path
 import naopolicies
 import numpy as np
 import pytest
-from naojobs import requests, submission
+from naojobs import requests
 from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_TASK, live_workers, waiting_reasons
 from naojobs.models import Checkpoint, Evaluation, Job, Worker
 from naojobs.states import WorkState
 from naojobs.store import StoreManifest, artifact_of
 from naospec import EvaluationSpec, plugins
+
+from tests.integration.writes import request_evaluation
 
 from .conftest import ROLLOUT, Service, WorkerProcess
 
@@ -286,7 +288,7 @@ def test_evaluations_on_request(shared: Service, finished: str) -> None:
     next((shared.artifacts / first.key).glob("*.npz")).unlink()
     spec = EvaluationSpec(episodes=3, n_envs=2, bootstrap_resamples=100)
     asked = [
-        submission.request_evaluation(shared.sessions, finished, checkpoint_id=checkpoint.id, spec=spec).id
+        request_evaluation(shared.sessions, finished, checkpoint_id=checkpoint.id, spec=spec).id
         for checkpoint in (newest, first)
     ]
     for evaluation_id in asked * 3:
@@ -312,7 +314,8 @@ def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(servic
     job_id = service.submit(total_steps=10**9, checkpoint_interval_steps=2 * ROLLOUT)
     checkpoint = service.until(lambda: service.checkpoints(job_id)[:1], what="for a checkpoint")[0]
     spec = EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100)
-    asked = submission.request_evaluation(service.sessions, job_id, checkpoint_id=checkpoint.id, spec=spec).id
+    wanted = {"checkpoint_id": checkpoint.id, "spec": spec, "report": "pictures"}  # the worker draws none by itself
+    asked = request_evaluation(service.sessions, job_id, **wanted).id
     assert service.notifier.wake_up(asked, "embedded") is None
 
     def ended() -> Evaluation | None:
@@ -322,6 +325,8 @@ def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(servic
 
     row = service.until(ended, what="for the evaluation")
     assert (row.state, row.attempt, row.error) == (WorkState.SUCCEEDED, 1, None)
+    names = {file["name"] for file in (row.manifest or {})["files"]}
+    assert "report.html" in names and "run.mp4" not in names
     job = service.job(job_id)
     assert (job.state, job.attempt) == (WorkState.RUNNING, 1)
 

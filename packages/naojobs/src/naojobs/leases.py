@@ -92,6 +92,8 @@ class EvaluationClaim:
     spec: EvaluationSpec
     checkpoint: CheckpointRef
     time_limit_s: float
+    report: str | None
+    """Report to draw with it: film, pictures or off; none for what the worker is set to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +192,8 @@ def take(session: Session, work: AnyWork, worker: str, lease_s: float) -> Claim 
                 claim: Claim = _job_claim(session, work, lease)
             case Evaluation():
                 checkpoint = CheckpointRef.of(session.get_one(Checkpoint, work.checkpoint_id))
-                claim = EvaluationClaim(lease, read_stored(EvaluationSpec, work.spec), checkpoint, work.time_limit_s)
+                spec = read_stored(EvaluationSpec, work.spec)
+                claim = EvaluationClaim(lease, spec, checkpoint, work.time_limit_s, work.report)
             case Match():
                 claim = _match_claim(session, work, lease)
     except _RefusedError as error:

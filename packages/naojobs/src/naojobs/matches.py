@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from typing import Any
 
 from naospec.teams import ROBOT
@@ -20,7 +19,7 @@ from naojobs.models import Match, MatchEvent, MatchGame
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import WorkState
 from naojobs.store import StoreManifest
-from naojobs.submission import same_request
+from naojobs.submission import digest_of, same_request
 from naojobs.teams import Film, MatchSpec, find_team
 
 MAX_GAMES = 1000
@@ -38,12 +37,14 @@ class MatchRequest:
     half_s: float
     gate: bool = False
     film: Film = "goals"
+    tags: Sequence[str] = ()
     priority: int = 5
+    not_before: datetime | None = None
     max_attempts: int = 3
 
     def digest(self) -> str:
         """Return the SHA-256 that equal requests share."""
-        return hashlib.sha256(json.dumps(asdict(self)).encode()).hexdigest()
+        return digest_of(self)
 
 
 def submit_match(
@@ -86,7 +87,9 @@ def submit_match(
             owner=owner,
             spec=spec.model_dump(mode="json"),
             **asdict(Requirements(task, MATCH_VERSION, ROBOT, MATCH_QUEUE, "")),
+            tags=list(dict.fromkeys(request.tags)),
             priority=request.priority,
+            not_before=request.not_before,
             max_attempts=request.max_attempts,
             state=WorkState.QUEUED,
             queued_at=func.now(),

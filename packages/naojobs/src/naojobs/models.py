@@ -100,6 +100,10 @@ class Work:
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     spec: Mapped[dict[str, Any]]
     """A `naospec.TrainingSpec`, a `naospec.EvaluationSpec` or a `naojobs.teams.MatchSpec`."""
+    tags: Mapped[list[str]] = mapped_column(server_default=text("'{}'"))
+    idempotency_key: Mapped[str | None] = mapped_column(String(200))
+    idempotency_digest: Mapped[str | None] = mapped_column(String(64))
+    """SHA-256 of the request that had the key, to distinguish a repeated request from another one."""
     priority: Mapped[int] = mapped_column(Integer, server_default=text("5"))
     """0 to 9; work with a higher priority is claimed first."""
     task: Mapped[str] = mapped_column(String(100))
@@ -151,7 +155,6 @@ class Job(Work, Base):
 
     name: Mapped[str] = mapped_column(String(200))
     owner: Mapped[str] = mapped_column(String(200))
-    tags: Mapped[list[str]] = mapped_column(server_default=text("'{}'"))
     notes: Mapped[str] = mapped_column(server_default=text("''"))
     """Text of the user about the job."""
     evaluation: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
@@ -174,9 +177,6 @@ class Job(Work, Base):
     software: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
     """Versions by package of the last attempt, with `python` and, if it is known, the `commit` of the source."""
     group_id: Mapped[str | None] = mapped_column(String(64), index=True)
-    idempotency_key: Mapped[str | None] = mapped_column(String(200))
-    idempotency_digest: Mapped[str | None] = mapped_column(String(64))
-    """SHA-256 of the request that had the key, to distinguish a repeated request from another one."""
     progress_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     total_steps: Mapped[int] = mapped_column(BigInteger)
     began_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
@@ -291,6 +291,8 @@ class Evaluation(Work, Base):
     checkpoint_id: Mapped[str] = mapped_column(ForeignKey("checkpoints.id", ondelete="CASCADE"), index=True)
     time_limit_s: Mapped[float] = mapped_column(server_default=text(f"{DEFAULT_TIME_LIMIT_S:.0f}"))
     """Seconds that one attempt may take; the evaluation fails when they are over."""
+    report: Mapped[str | None] = mapped_column(String(20))
+    """Report that was requested with it: film, pictures or off; none for what the worker is set to."""
     summary: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     """Metrics over all episodes; they count once it has succeeded."""
     key: Mapped[str | None]
@@ -305,6 +307,7 @@ class Evaluation(Work, Base):
             "state <> 'succeeded' OR (summary IS NOT NULL AND key IS NOT NULL AND manifest IS NOT NULL)",
             name="succeeded_has_result",
         ),
+        UniqueConstraint("job_id", "idempotency_key"),
         _waiting_index("evaluations"),
         _lease_index("evaluations"),
     )
@@ -317,8 +320,6 @@ class Match(Work, Base):
     kind = WorkKind.MATCH
 
     owner: Mapped[str] = mapped_column(String(200))
-    idempotency_key: Mapped[str | None] = mapped_column(String(200))
-    idempotency_digest: Mapped[str | None] = mapped_column(String(64))
     summary: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     """Results of the games so far, as `naosprint.matches.results.match_results` returns them."""
     live: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import Any, Literal
 
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, stored, validation_words
@@ -18,7 +19,7 @@ from sqlalchemy.orm import Session
 
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
-from naojobs.errors import ConflictError, InvalidError, NotFoundError
+from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
 from naojobs.ids import new_id
 from naojobs.models import Study, StudyState, Trial, TrialState
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
@@ -83,9 +84,10 @@ def submit_study(
     digest = request.digest() if idempotency_key is not None else None
     same_key = (Study.owner == owner, Study.idempotency_key == idempotency_key)
     with sessions.begin() as session:
-        job = _with_pinned_parent(session, request.job, owner, see_all)
-        for other in at_ends:
-            with_parent(session, other, owner, see_all)
+        with within("job"):
+            job = _with_pinned_parent(session, request.job, owner, see_all)
+            for other in at_ends:
+                with_parent(session, other, owner, see_all)
         if idempotency_key is None or session.scalar(select(Study.id).where(*same_key)) is None:
             require_room(session, owner, limits, Quota.STUDIES, Quota.JOBS)
         study_id = session.scalar(
@@ -101,6 +103,7 @@ def submit_study(
                     "tags": list(job.tags),
                     "priority": job.priority,
                     "max_attempts": job.max_attempts,
+                    **({} if job.not_before is None else {"not_before": job.not_before.isoformat()}),
                     **{name: value for name in PARENT if (value := getattr(job, name)) is not None},
                 },
                 state=StudyState.RUNNING,
@@ -127,7 +130,7 @@ def _with_pinned_parent(session: Session, job: JobRequest, owner: str, see_all: 
         return job
     checkpoint = newest_checkpoint(session, job.parent_job_id)
     if checkpoint is None:
-        raise InvalidError(f"job {job.parent_job_id} has no checkpoint yet; wait for the first", "job.parent_job_id")
+        raise InvalidError(f"job {job.parent_job_id} has no checkpoint yet; wait for the first", "parent_job_id")
     return replace(job, parent_checkpoint_id=checkpoint.id)
 
 
@@ -200,6 +203,7 @@ def job_of(study: Study) -> JobRequest:
         tags=content["tags"],
         priority=content["priority"],
         max_attempts=content["max_attempts"],
+        not_before=datetime.fromisoformat(moment) if (moment := content.get("not_before")) else None,
         **{name: content.get(name) for name in PARENT},
     )
 

@@ -25,14 +25,14 @@ from naojobs.capabilities import Requirements
 from naojobs.changes import add_event, lock
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions, notify, storable
-from naojobs.errors import ConflictError, InvalidError, NotFoundError
+from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
 from naojobs.ids import new_id
 from naojobs.lineage import trained_by
 from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Match, PolicyRecord, Study
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import ENDED, OPEN, WorkState
 
-J = TypeVar("J", Job, Study, Match)
+J = TypeVar("J", Job, Study, Match, Evaluation)
 
 INVISIBLE = frozenset({"Cc", "Cf", "Zl", "Zp"})
 """Categories of characters that no name has: controls, formats, separators of lines and paragraphs."""
@@ -67,12 +67,34 @@ class JobRequest:
 
     def digest(self) -> str:
         """Return the SHA-256 that equal requests share."""
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
-        for later in ("parent_policy", "not_before"):
-            if values[later] is None:
-                del values[later]  # requests of earlier versions keep their digest
-        text = json.dumps(values, sort_keys=True, default=_document)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return digest_of(self, later=("parent_policy", "not_before"))
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationRequest:
+    """Evaluation of a job's checkpoint to submit."""
+
+    checkpoint_id: str | None = None
+    """The newest checkpoint if none is named."""
+    spec: EvaluationSpec | None = None
+    report: str | None = None
+    """Report to draw with it: film, pictures or off; none for what the worker is set to."""
+    time_limit_s: float = DEFAULT_TIME_LIMIT_S
+    tags: Sequence[str] = ()
+    priority: int | None = None
+    """None for the job's."""
+    not_before: datetime | None = None
+    max_attempts: int = 3
+
+
+def digest_of(request: Any, later: Sequence[str] = ()) -> str:
+    """Return the SHA-256 that equal requests share; without `later` fields that are not set.
+
+    Requests of versions that did not have these fields keep their digest.
+    """
+    values = {item.name: getattr(request, item.name) for item in fields(request)}
+    kept = {name: value for name, value in values.items() if value or name not in later}
+    return hashlib.sha256(json.dumps(kept, sort_keys=True, default=_document).encode()).hexdigest()
 
 
 def _document(value: TrainingSpec | EvaluationSpec | datetime) -> Any:
@@ -133,7 +155,8 @@ def submit_group(
         new = False
         for number, item in enumerate(requests):
             key = None if idempotency_key is None else f"{idempotency_key}#{number}"
-            job, created = add_job(session, item, owner, key, limits, see_all, group_id=group_id)
+            with within("job"):
+                job, created = add_job(session, item, owner, key, limits, see_all, group_id=group_id)
             new = new or created
             if not created:
                 group_id = job.group_id or group_id
@@ -388,39 +411,39 @@ def check_fit(request: JobRequest, theirs: TrainingSpec, *, field: str = "") -> 
             )
 
 
-def request_evaluation(
+def submit_evaluation(
     sessions: Sessions,
     job_id: str,
+    request: EvaluationRequest,
     *,
-    checkpoint_id: str | None = None,
-    spec: EvaluationSpec | None = None,
-    time_limit_s: float = DEFAULT_TIME_LIMIT_S,
+    idempotency_key: str | None = None,
     max_open: int = MAX_OPEN_EVALUATIONS,
     limits: Limits = NO_LIMITS,
-) -> Evaluation:
-    """Queue an evaluation of a job's checkpoint, of the newest if none is named.
+) -> tuple[Evaluation, bool]:
+    """Queue an evaluation of a job's checkpoint; return it and whether it is new.
 
-    Raises NotFoundError, InvalidError if the policy cannot be evaluated so, ConflictError if the job has no checkpoint
-    yet or too many open evaluations, and QuotaError if its owner has as many evaluations as `limits` allow.
+    The same `idempotency_key` with the same request for the same job returns the existing evaluation.
+
+    Raises NotFoundError, InvalidError if the policy cannot be evaluated so, ConflictError if the key was used for
+    another request, or if the job has no checkpoint yet or too many open evaluations, and QuotaError if its owner has
+    as many evaluations as `limits` allow.
     """
+    digest = digest_of(request) if idempotency_key is not None else None
     with sessions.begin() as session:
         job = lock(session, Job, job_id)
         if job is None:
             raise NotFoundError(f"no job {job_id}")
-        if checkpoint_id is None:
-            checkpoint = newest_checkpoint(session, job_id)
-            if checkpoint is None:
-                raise ConflictError(f"job {job_id} has no checkpoint yet; wait for the first", "checkpoint_id")
-        else:
-            checkpoint = session.get(Checkpoint, checkpoint_id)
-            if checkpoint is None or checkpoint.job_id != job_id:
-                raise NotFoundError(f"job {job_id} has no checkpoint {checkpoint_id}")
+        if idempotency_key is not None:
+            same_key = (Evaluation.job_id == job_id, Evaluation.idempotency_key == idempotency_key)
+            if (earlier := session.scalar(select(Evaluation).where(*same_key))) is not None:
+                return same_request(earlier, digest), False
+        checkpoint = _checkpoint_of(session, job_id, request.checkpoint_id)
         is_open = (Evaluation.job_id == job_id, Evaluation.state.in_(OPEN))
         waiting = session.scalar(select(func.count()).select_from(Evaluation).where(*is_open))
         if (waiting or 0) >= max_open:
             raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some finish, or cancel some")
         require_room(session, job.owner, limits, Quota.EVALUATIONS)
-        spec = spec or EvaluationSpec()
+        spec = request.spec or EvaluationSpec()
         if (trained := trained_by(job)) is not None:
             check_evaluation(spec, trained, "spec")
         evaluation = Evaluation(
@@ -429,13 +452,32 @@ def request_evaluation(
             checkpoint_id=checkpoint.id,
             state=WorkState.QUEUED,
             spec=stored(spec),
+            report=request.report,
             **asdict(Requirements.of_evaluation(spec, job)),
-            priority=job.priority,
-            time_limit_s=time_limit_s,
+            tags=list(dict.fromkeys(request.tags)),
+            priority=job.priority if request.priority is None else request.priority,
+            not_before=request.not_before,
+            max_attempts=request.max_attempts,
+            time_limit_s=request.time_limit_s,
+            idempotency_key=idempotency_key,
+            idempotency_digest=digest,
             queued_at=func.now(),
         )
         session.add(evaluation)
         session.flush()
         add_event(session, evaluation, "queued", "requested")
         session.refresh(evaluation)
-    return evaluation
+    return evaluation, True
+
+
+def _checkpoint_of(session: Session, job_id: str, checkpoint_id: str | None) -> Checkpoint:
+    """Return a checkpoint of a job, the newest if none is named. Raises ConflictError and NotFoundError."""
+    if checkpoint_id is None:
+        newest = newest_checkpoint(session, job_id)
+        if newest is None:
+            raise ConflictError(f"job {job_id} has no checkpoint yet; wait for the first", "checkpoint_id")
+        return newest
+    checkpoint = session.get(Checkpoint, checkpoint_id)
+    if checkpoint is None or checkpoint.job_id != job_id:
+        raise NotFoundError(f"job {job_id} has no checkpoint {checkpoint_id}")
+    return checkpoint

@@ -196,9 +196,13 @@ def game(sessions: Sessions, match_id: str, number: int) -> MatchGame:
     return found
 
 
-def list_matches(sessions: Sessions, *, owner: str | None, limit: int, before: str | None) -> list[Match]:
-    """Return up to `limit` matches older than the match `before`, newest first."""
+def list_matches(
+    sessions: Sessions, *, owner: str | None, tags: Sequence[str] = (), limit: int, before: str | None
+) -> list[Match]:
+    """Return up to `limit` matches with all of `tags` older than the match `before`, newest first."""
     statement = select(Match).order_by(Match.id.desc()).limit(limit)
+    if tags:
+        statement = statement.where(Match.tags.contains(list(tags)))
     if owner is not None:
         statement = statement.where(Match.owner == owner)
     if before is not None:

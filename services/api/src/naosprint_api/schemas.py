@@ -11,7 +11,7 @@ from naojobs.policies import Registration, check_alias
 from naojobs.promotion import MOST_REQUIREMENTS, Requirement
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
-from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
+from naojobs.submission import MAX_GROUP_SIZE, EvaluationRequest, GroupRequest, JobRequest
 from naojobs.teams import Film
 from naojobs.webhooks import MessageType
 from naospec import EvaluationSpec, TrainingSpec, formats
@@ -72,17 +72,27 @@ class _Public(BaseModel):
     model_config = ConfigDict(from_attributes=True)
 
 
-class JobCreate(_Request):
+class _WorkCreate(_Request):
+    """What all work is submitted with; an `Idempotency-Key` is a header."""
+
+    tags: list[Tag] = Field(
+        default_factory=list,
+        max_length=20,
+        description="Tags: letters, digits and ._:/=- (at most 50 characters each).",
+    )
+    priority: int = Field(5, ge=0, le=9, description="0 to 9; work with a higher priority starts first.")
+    not_before: AwareDatetime | None = Field(
+        None, description="Earliest start, with its time zone; left out: as soon as a worker is free."
+    )
+    max_attempts: int = Field(3, ge=1, le=10, description="Attempts that may be lost before it fails.")
+
+
+class JobCreate(_WorkCreate):
     """Job to submit."""
 
     name: Name | None = Field(
         None,
         description="Name; left out: made of task, preset and seed. A number is added if the owner has such a job.",
-    )
-    tags: list[Tag] = Field(
-        default_factory=list,
-        max_length=20,
-        description="Tags: letters, digits and ._:/=- (at most 50 characters each).",
     )
     spec: TrainingSpec = Field(
         default_factory=TrainingSpec,
@@ -92,11 +102,6 @@ class JobCreate(_Request):
         default_factory=EvaluationSpec,
         description="How to evaluate the final policy, by default on the training's task; null for no evaluation.",
     )
-    priority: int = Field(5, ge=0, le=9, description="0 to 9; jobs with a higher priority start first.")
-    not_before: AwareDatetime | None = Field(
-        None, description="Earliest start, with its time zone; left out: as soon as a worker is free."
-    )
-    max_attempts: int = Field(3, ge=1, le=10, description="Attempts that may be lost before the job fails.")
     parent_job_id: Id | None = Field(None, description="Start from the policy of this job.")
     parent_checkpoint_id: Id | None = Field(
         None,
@@ -195,9 +200,9 @@ class StudyCreate(_Request):
     search: SearchSpec = Field(description="What to vary and to optimize, how to sample and when to prune.")
 
     @model_validator(mode="after")
-    def _starts_at_once(self) -> Self:
-        if self.job.not_before is not None:
-            raise ValueError("job.not_before: trials start as the study chooses them; leave it out")
+    def _starts_here(self) -> Self:
+        if self.search.elsewhere and self.job.not_before is not None:
+            raise ValueError("job.not_before: trials that run elsewhere start when they are taken; leave it out")
         return self
 
 
@@ -366,6 +371,10 @@ class EvaluationPublic(BaseModel):
     checkpoint_id: str
     state: EvaluationState
     spec: dict[str, Any] = Field(description="Specification of the evaluation, as stored.")
+    report: str | None = Field(description="Report that was asked for; null for what the worker is set to.")
+    tags: list[str]
+    priority: int
+    not_before: datetime | None = Field(description="When its next attempt may begin; null: at any time.")
     waiting_reason: str | None = Field(
         description="Why no worker can take the queued evaluation; null if a worker can, and in all other states."
     )
@@ -391,9 +400,12 @@ class EvaluationPage(Page[EvaluationPublic]):
     """Page of evaluations, newest first."""
 
 
-class EvaluationCreate(_Request):
+class EvaluationCreate(_WorkCreate):
     """Evaluation to run."""
 
+    priority: int | None = Field(  # type: ignore[assignment]
+        None, ge=0, le=9, description="0 to 9; work with a higher priority starts first. Left out: the job's."
+    )
     checkpoint_id: Id | None = Field(None, description="Which checkpoint to evaluate; left out, the newest.")
     spec: EvaluationSpec | None = Field(
         None, description="How to evaluate it; left out, 1000 episodes of the job's task."
@@ -404,12 +416,21 @@ class EvaluationCreate(_Request):
         le=30 * 86_400,
         description="Seconds that one attempt may take; then the evaluation fails.",
     )
+    report: Literal["film", "pictures", "off"] | None = Field(
+        None,
+        description="Report to draw with it, whose files are among the evaluation's: with a film, with pictures only, "
+        "or none; left out, what the worker is set to (`NAOSPRINT_WORKER_REPORT`).",
+    )
+
+    def request(self) -> EvaluationRequest:
+        """Return the evaluation for `naojobs.submission`."""
+        return EvaluationRequest(**{name: getattr(self, name) for name in type(self).model_fields})
 
 
 TeamText = Annotated[str, StringConstraints(min_length=1, max_length=500, pattern=PLAIN)]
 
 
-class MatchCreate(_Request):
+class MatchCreate(_WorkCreate):
     """Match to play."""
 
     teams: tuple[TeamText, TeamText] = Field(
@@ -427,8 +448,6 @@ class MatchCreate(_Request):
         description="What is filmed of each game: nothing (`off`), what led to goals, or all of it. Workers without "
         "imageio-ffmpeg make no film.",
     )
-    priority: int = Field(5, ge=0, le=9, description="0 to 9; work with a higher priority starts first.")
-    max_attempts: int = Field(3, ge=1, le=10, description="Attempts that may be lost before the match fails.")
 
     def request(self) -> MatchRequest:
         """Return the match for `naojobs.matches`."""
@@ -479,7 +498,9 @@ class MatchPublic(BaseModel):
     wins: int = Field(description="Games that the first team has won.")
     draws: int
     losses: int
+    tags: list[str]
     priority: int
+    not_before: datetime | None = Field(description="When its next attempt may begin; null: at any time.")
     waiting_reason: str | None = Field(
         description="Why no worker can take the queued match; null if a worker can, and in all other states."
     )

@@ -64,30 +64,15 @@ def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -
     succeeded = evaluation.state is WorkState.SUCCEEDED
     manifest = StoreManifest.model_validate(evaluation.manifest) if succeeded and evaluation.manifest else None
     root = f"/evaluations/{evaluation.id}"
-    return EvaluationPublic.model_validate(
-        {
-            "id": evaluation.id,
-            "job_id": evaluation.job_id,
-            "checkpoint_id": evaluation.checkpoint_id,
-            "state": evaluation.state,
-            "spec": evaluation.spec,
-            "waiting_reason": waiting_reason,
-            "attempt": evaluation.attempt,
-            "failures": evaluation.failures,
-            "max_attempts": evaluation.max_attempts,
-            "worker": evaluation.lease_owner,
-            "stalled_since": evaluation.stalled_since,
-            "cancel_requested": evaluation.cancel_requested,
-            "time_limit_s": evaluation.time_limit_s,
-            "summary": evaluation.summary if succeeded else None,
-            "files": files_view(manifest, root) if manifest else [],
-            "archive_url": f"{root}/archive" if manifest else None,
-            "error": evaluation.error,
-            "created_at": evaluation.created_at,
-            "started_at": evaluation.started_at,
-            "finished_at": evaluation.finished_at,
-        },
-    )
+    given = {
+        "waiting_reason": waiting_reason,
+        "worker": evaluation.lease_owner,
+        "summary": evaluation.summary if succeeded else None,
+        "files": files_view(manifest, root) if manifest else [],
+        "archive_url": f"{root}/archive" if manifest else None,
+    }
+    others = {name: getattr(evaluation, name) for name in EvaluationPublic.model_fields if name not in given}
+    return EvaluationPublic.model_validate({**given, **others})
 
 
 def match_view(match: Match, waiting_reason: str | None = None) -> MatchPublic:

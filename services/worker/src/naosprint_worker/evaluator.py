@@ -42,7 +42,7 @@ def _evaluate(services: Services, claim: EvaluationClaim) -> Outcome:
     summary = evaluate_into(
         result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, services=services
     )
-    add_report(services, result, lease.job_id, claim.checkpoint.step)
+    add_report(services, result, lease.job_id, claim.checkpoint.step, asked=claim.report)
     key = evaluation_key(lease.job_id, lease.id, lease.attempt, new_nonce())
     manifest = retry(
         lambda: services.store.put_directory(key, result),

@@ -6,6 +6,7 @@ import json
 import logging
 import shutil
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 from naojobs import records
@@ -18,9 +19,17 @@ logger = logging.getLogger(__name__)
 
 
 def add_report(
-    services: Services, evaluation: Path, job_id: str, step: int, *, warn: Callable[[str], None] = logger.warning
+    services: Services,
+    evaluation: Path,
+    job_id: str,
+    step: int,
+    *,
+    asked: str | None = None,
+    warn: Callable[[str], None] = logger.warning,
 ) -> None:
-    """Draw the report of the evaluation in ``evaluation`` into the same folder, if the settings request one.
+    """Draw the report of the evaluation in ``evaluation`` into the same folder, if one is asked for.
+
+    ``asked`` is film, pictures or off, and None for what the worker is set to. Without imageio-ffmpeg there is no film.
 
     Its learning curve is that of job ``job_id`` up to ``step``. A report that cannot be drawn is omitted and ``warn``
     is called with the reason; the metrics are stored without it.
@@ -28,9 +37,12 @@ def add_report(
     Raises:
         StopRequestedError: this process was asked to stop meanwhile.
     """
-    wanted = services.settings.worker_report
+    wanted = asked or services.settings.worker_report
     if wanted == "off":
         return
+    if wanted == "film" and find_spec("imageio_ffmpeg") is None:
+        warn("the report has no film: this worker has no imageio-ffmpeg")
+        wanted = "pictures"
     folder, metrics = services.workdir / "report", services.workdir / "metrics.jsonl"
     try:
         with services.stop.interruptible():

@@ -27,7 +27,15 @@ from rich.progress import (
 )
 
 from naoctl.client import Client
-from naoctl.commands.submit import EVAL_PREFIX, EVALUATION_SETTINGS
+from naoctl.commands.submit import (
+    EVAL_PREFIX,
+    EVALUATION_SETTINGS,
+    KeyOption,
+    NotBeforeOption,
+    TagOption,
+    common_fields,
+    hand_in,
+)
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
 from naoctl.descriptions import section_name
 from naoctl.errors import CliError, ExitCode, InvalidInput
@@ -384,6 +392,14 @@ def checkpoints(ctx: typer.Context, job: Job = "last", as_json: JsonFlag = False
     context.out.print(table if points else "No checkpoint yet.")
 
 
+class ReportKind(StrEnum):
+    """Report that a worker draws with an evaluation."""
+
+    FILM = "film"
+    PICTURES = "pictures"
+    OFF = "off"
+
+
 def evaluate(
     ctx: typer.Context,
     job: JobOrPolicy = "last",
@@ -393,6 +409,19 @@ def evaluate(
         float | None,
         typer.Option(metavar="SECONDS", min=1, help="Time limit of the evaluation.", show_default="6 hours"),
     ] = None,
+    report_kind: Annotated[
+        ReportKind | None,
+        typer.Option("--report", help="Have the worker draw a report with it.", show_default="as the worker is set to"),
+    ] = None,
+    tag: TagOption = None,
+    priority: Annotated[
+        int | None,
+        typer.Option(
+            metavar="0-9", min=0, max=9, help="Work of higher priority starts first.", show_default="the job's"
+        ),
+    ] = None,
+    not_before: NotBeforeOption = None,
+    key: KeyOption = None,
     show: Annotated[bool, typer.Option("--list", help="List the job's evaluations instead.")] = False,
     conditions: Conditions = None,
     as_json: JsonFlag = False,
@@ -414,7 +443,9 @@ def evaluate(
         if show:
             _list_evaluations(context, client.every(f"/jobs/{found['id']}/evaluations"), as_json=as_json)
             return
-        body: dict[str, Any] = {} if time_limit is None else {"time_limit_s": time_limit}
+        body = common_fields(tag, priority, not_before)
+        body |= {} if time_limit is None else {"time_limit_s": time_limit}
+        body |= {} if report_kind is None else {"report": report_kind.value}
         if checkpoint is not None or trained.policy is not None:
             body["checkpoint_id"] = choose_files(client, trained, checkpoint, Path())[2]["id"]
         if evaluation:
@@ -424,7 +455,7 @@ def evaluate(
         if conditions:
             name = last_task(found["spec"])
             body["spec"] = {**body.get("spec", {}), "task": {"name": name, **condition_values(conditions)}}
-        asked = client.post(f"/jobs/{found['id']}/evaluations", body)
+        asked = hand_in(client, f"/jobs/{found['id']}/evaluations", body, key)
         if wait:
             try:
                 asked = await_evaluation(client, asked)

@@ -16,7 +16,7 @@ from naospec.teams import MAX_HALF_S, MAX_PLAYERS, TEAM_FILE
 from typer.core import TyperGroup
 
 from naoctl.client import Client
-from naoctl.commands.submit import hand_in
+from naoctl.commands.submit import KeyOption, NotBeforeOption, PriorityOption, TagOption, common_fields, hand_in
 from naoctl.context import Context, JsonFlag, context_of, find_listed
 from naoctl.errors import CliError, InvalidInput, plain
 from naoctl.follow import ENDED, result_of
@@ -76,7 +76,10 @@ def play(
     film: Annotated[
         Filmed, typer.Option(help="What to film of each game: nothing, what led to goals, or all of it.")
     ] = Filmed.GOALS,
-    priority: Annotated[int, typer.Option(min=0, max=9, help="0 to 9; higher starts first.")] = 5,
+    tag: TagOption = None,
+    priority: PriorityOption = None,
+    not_before: NotBeforeOption = None,
+    key: KeyOption = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the end and print the results.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
@@ -85,10 +88,11 @@ def play(
     body = {
         "teams": [first, second],
         **{"games": games, "players": players, "half_s": seconds, "gate": gate},
-        **{"film": film.value, "priority": priority},
+        "film": film.value,
+        **common_fields(tag, priority, not_before),
     }
     with context.client() as client:
-        match = hand_in(client, "/matches", body, None)
+        match = hand_in(client, "/matches", body, key)
         if wait:
             _follow(context, client, match["id"], quiet=as_json)
             match = client.get(f"/matches/{match['id']}")

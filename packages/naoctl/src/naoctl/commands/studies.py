@@ -18,9 +18,12 @@ from naoctl.commands.submit import (
     EVAL_PREFIX,
     EVALUATION_SETTINGS,
     JobFile,
+    KeyOption,
+    NotBeforeOption,
     PriorityOption,
     RecipeOption,
     TagOption,
+    common_fields,
     hand_in,
     make_job,
 )
@@ -96,10 +99,8 @@ def tune(
     name: Annotated[str | None, typer.Option("--name", "-n", metavar="NAME", help="Name of the study.")] = None,
     tag: TagOption = None,
     priority: PriorityOption = None,
-    key: Annotated[
-        str | None,
-        typer.Option("--idempotency-key", metavar="KEY", help="A second request with the same key starts no study."),
-    ] = None,
+    not_before: NotBeforeOption = None,
+    key: KeyOption = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the study; start nothing.")] = False,
     as_json: JsonFlag = False,
     help_all: HelpAllFlag = False,
@@ -114,7 +115,8 @@ def tune(
     context = context_of(ctx)
     if parent and policy:
         raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
-    job = make_job(file, recipe, spec, evaluation, tags=tag, priority=priority, parent_policy=policy)
+    job = make_job(file, recipe, spec, evaluation, parent_policy=policy)
+    job |= common_fields(tag, priority, not_before, file=job)
     search = make_search(
         space or [],
         objective or [],

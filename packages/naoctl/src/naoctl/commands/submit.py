@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 import uuid
-from collections.abc import Container
+from collections.abc import Container, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
@@ -76,15 +76,33 @@ RecipeOption = Annotated[
         autocompletion=_complete_recipe,
     ),
 ]
-TagOption = Annotated[
-    list[str] | None, typer.Option("--tag", "-t", metavar="TAG", help="Tag of the job; may be repeated.")
-]
+TagOption = Annotated[list[str] | None, typer.Option("--tag", "-t", metavar="TAG", help="Tag; may be repeated.")]
 PriorityOption = Annotated[
     int | None,
     typer.Option(
-        "--priority", metavar="0-9", min=0, max=9, help="Jobs of higher priority start first.", show_default="5"
+        "--priority", metavar="0-9", min=0, max=9, help="Work of higher priority starts first.", show_default="5"
     ),
 ]
+NotBeforeOption = Annotated[
+    str | None,
+    typer.Option("--not-before", metavar="TIME", help="Start at 22:00, at 2026-12-01T06:00, or in 8h, not before."),
+]
+KeyOption = Annotated[
+    str | None,
+    typer.Option("--idempotency-key", metavar="KEY", help="A second request with the same key makes nothing new."),
+]
+
+
+def common_fields(
+    tag: list[str] | None, priority: int | None, not_before: str | None, *, file: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return the fields of a request that all work has: those that are given, by flags or else by a job file."""
+    moment = not_before or (file or {}).get("not_before")
+    return {
+        **({} if tag is None else {"tags": tag}),
+        **({} if priority is None else {"priority": priority}),
+        **({} if moment is None else {"not_before": parse_moment(str(moment), datetime.now().astimezone())}),
+    }
 
 
 def submit(
@@ -97,10 +115,7 @@ def submit(
     ] = None,
     tag: TagOption = None,
     priority: PriorityOption = None,
-    not_before: Annotated[
-        str | None,
-        typer.Option("--not-before", metavar="TIME", help="Start at 22:00, at 2026-12-01T06:00, or in 8h, not before."),
-    ] = None,
+    not_before: NotBeforeOption = None,
     parent: Annotated[
         str | None,
         typer.Option("--from", metavar="JOB", help="Start from this job's policy.", autocompletion=complete_job),
@@ -128,12 +143,7 @@ def submit(
         typer.Option("--evaluate/--no-evaluate", help="Evaluate the final policy.", show_default="evaluate"),
     ] = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job; the exit code is its result.")] = False,
-    key: Annotated[
-        str | None,
-        typer.Option(
-            "--idempotency-key", metavar="KEY", help="A second submit with the same key returns the same job."
-        ),
-    ] = None,
+    key: KeyOption = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Check the job and print it with the preset's values; submit nothing.")
     ] = False,
@@ -156,13 +166,10 @@ def submit(
         evaluation,
         evaluate=evaluate,
         name=name,
-        tags=tag,
-        priority=priority,
         parent_checkpoint_id=checkpoint,
         parent_policy=policy,
     )
-    if moment := not_before or body.get("not_before"):
-        body["not_before"] = parse_moment(str(moment), datetime.now().astimezone())
+    body |= common_fields(tag, priority, not_before, file=body)
     if parent and policy:
         raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
     if body.get("name") == NEWEST:

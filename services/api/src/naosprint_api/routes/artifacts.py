@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, BackgroundTasks, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from naojobs import requests, submission
 from naojobs.errors import NotFoundError
 from naojobs.models import Evaluation
@@ -27,8 +27,8 @@ from naosprint_api.dependencies import (
 from naosprint_api.downloads import send_archive, send_file
 from naosprint_api.patterns import STEP
 from naosprint_api.problems import responses
-from naosprint_api.routes.jobs import require_space
 from naosprint_api.schemas import CheckpointPage, CheckpointPublic, EvaluationCreate, EvaluationPage, EvaluationPublic
+from naosprint_api.submitted import SubmissionDep
 from naosprint_api.views import checkpoint_view
 
 router = APIRouter(tags=["artifacts"], route_class=CountedRoute)
@@ -114,26 +114,26 @@ def list_evaluations(
     return EvaluationPage.of(service.show_evaluations(rows), limit)
 
 
-@router.post("/jobs/{job_id}/evaluations", status_code=202, responses={**_READ, **responses(409, 413)})
+@router.post(
+    "/jobs/{job_id}/evaluations",
+    status_code=202,
+    responses={**_READ, **responses(409, 413), 200: {"model": EvaluationPublic, "description": "Exists already"}},
+)
 def request_evaluation(
     job_id: JobId,
     principal: Submitter,
     service: ServiceDep,
-    background: BackgroundTasks,
+    submitted: SubmissionDep,
     body: EvaluationCreate | None = None,
 ) -> EvaluationPublic:
-    """Queue an evaluation of a checkpoint; look it up again until it has ended."""
-    require_space(service, queries.visible_job(service.reads, principal, job_id).owner)
-    body = body or EvaluationCreate.model_validate({})
-    row = submission.request_evaluation(
-        service.sessions,
-        job_id,
-        checkpoint_id=body.checkpoint_id,
-        spec=body.spec,
-        time_limit_s=body.time_limit_s,
-        limits=service.settings.limits,
-    )
-    background.add_task(service.wake_up, row)
+    """Queue an evaluation of a checkpoint; look it up again until it has ended.
+
+    202 for a new one; 200 if the idempotency key was used before for this job with the same body.
+    """
+    owner = queries.visible_job(service.reads, principal, job_id).owner
+    request = (body or EvaluationCreate.model_validate({})).request()
+    row, created = submission.submit_evaluation(service.sessions, job_id, request, **submitted.options(owner))
+    submitted.made(f"/evaluations/{row.id}", row, created=created)
     return service.show_evaluation(row)
 
 

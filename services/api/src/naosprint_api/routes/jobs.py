@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, BackgroundTasks, Depends, Query, Response
+from fastapi import APIRouter, BackgroundTasks, Depends, Query
 from naojobs import requests, submission
 from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Job
-from naojobs.quotas import Quota, require_room
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
 
@@ -19,7 +18,6 @@ from naosprint_api.dependencies import (
     After,
     CountedRoute,
     Cursor,
-    IdempotencyKey,
     JobId,
     Limit,
     PageLimit,
@@ -41,6 +39,7 @@ from naosprint_api.schemas import (
     MetricsPublic,
 )
 from naosprint_api.service import Service
+from naosprint_api.submitted import SubmissionDep, require_space
 from naosprint_api.views import event_view, log_view
 
 router = APIRouter(tags=["jobs"], route_class=CountedRoute)
@@ -95,69 +94,32 @@ def job_filter(
     )
 
 
-def require_space(service: Service, owner: str) -> None:
-    """Raise QuotaError if the owner's jobs have stored as much as they may."""
-    with service.reads.begin() as session:
-        require_room(session, owner, service.settings.limits, Quota.BYTES, Quota.ROWS)
-
-
 def controllable(service: Service, principal: Principal, job_id: str) -> Job:
     """Return a job that the caller may change. Raises NotFoundError."""
     return queries.visible_job(service.reads, principal, job_id)
 
 
 @router.post("/jobs", status_code=201, responses={**SUBMIT, 200: {"model": JobPublic, "description": "Exists already"}})
-def submit_job(
-    body: JobCreate,
-    principal: Submitter,
-    service: ServiceDep,
-    background: BackgroundTasks,
-    response: Response,
-    idempotency_key: IdempotencyKey = None,
-) -> JobPublic:
+def submit_job(body: JobCreate, principal: Submitter, service: ServiceDep, submitted: SubmissionDep) -> JobPublic:
     """Queue a training. 201 for a new job; 200 if the idempotency key was used before with the same body."""
-    require_space(service, principal.owner)
+    owner, request = principal.owner, body.request()
     job, created = submission.submit(
-        service.sessions,
-        body.request(),
-        owner=principal.owner,
-        idempotency_key=idempotency_key,
-        limits=service.settings.limits,
-        see_all=principal.is_admin,
+        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options(owner)
     )
-    if created:
-        background.add_task(service.wake_up, job)
-    else:
-        response.status_code = 200
-    response.headers["Location"] = f"/jobs/{job.id}"
+    submitted.made(f"/jobs/{job.id}", job, created=created)
     return service.show_job(job)
 
 
 @router.post(
     "/groups", status_code=201, responses={**SUBMIT, 200: {"model": GroupPublic, "description": "Exists already"}}
 )
-def submit_group(
-    body: GroupCreate,
-    principal: Submitter,
-    service: ServiceDep,
-    background: BackgroundTasks,
-    response: Response,
-    idempotency_key: IdempotencyKey = None,
-) -> GroupPublic:
+def submit_group(body: GroupCreate, principal: Submitter, service: ServiceDep, submitted: SubmissionDep) -> GroupPublic:
     """Queue several trainings that differ in seed or in fields of a grid: all of them, or none."""
-    require_space(service, principal.owner)
+    owner, request = principal.owner, body.request()
     group_id, jobs, created = submission.submit_group(
-        service.sessions,
-        body.request(),
-        owner=principal.owner,
-        idempotency_key=idempotency_key,
-        limits=service.settings.limits,
-        see_all=principal.is_admin,
+        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options(owner)
     )
-    if created:
-        background.add_task(service.wake_up, *jobs)
-    else:
-        response.status_code = 200
+    submitted.made(f"/jobs?group={group_id}", *jobs, created=created)
     return GroupPublic(id=group_id, jobs=service.show_jobs(jobs))
 
 

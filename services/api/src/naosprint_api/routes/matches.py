@@ -18,7 +18,6 @@ from naosprint_api.dependencies import (
     Admin,
     CountedRoute,
     Cursor,
-    IdempotencyKey,
     PageLimit,
     Reader,
     ServiceDep,
@@ -28,7 +27,6 @@ from naosprint_api.downloads import send_file
 from naosprint_api.patterns import PLAIN, POLICY
 from naosprint_api.problems import responses
 from naosprint_api.routes.artifacts import FILE, Presigned
-from naosprint_api.routes.jobs import require_space
 from naosprint_api.schemas import (
     MatchCreate,
     MatchDetails,
@@ -41,6 +39,7 @@ from naosprint_api.schemas import (
     TeamPublic,
 )
 from naosprint_api.service import Service
+from naosprint_api.submitted import SubmissionDep, require_space
 from naosprint_api.views import match_details
 
 router = APIRouter(tags=["matches"], route_class=CountedRoute)
@@ -75,38 +74,27 @@ async def _archive(request: Request) -> bytes:
     status_code=201,
     responses={**_CONTROL, **responses(413), 200: {"model": MatchPublic, "description": "Exists already"}},
 )
-def submit_match(
-    body: MatchCreate,
-    principal: Submitter,
-    service: ServiceDep,
-    background: BackgroundTasks,
-    response: Response,
-    idempotency_key: IdempotencyKey = None,
-) -> MatchPublic:
+def submit_match(body: MatchCreate, principal: Submitter, service: ServiceDep, submitted: SubmissionDep) -> MatchPublic:
     """Queue a match. 201 for a new one; 200 if the idempotency key was used before with the same body."""
-    require_space(service, principal.owner)
-    match, created = matches.submit_match(
-        service.sessions,
-        body.request(),
-        owner=principal.owner,
-        idempotency_key=idempotency_key,
-        limits=service.settings.limits,
-    )
-    if created:
-        background.add_task(service.wake_up, match)
-    else:
-        response.status_code = 200
-    response.headers["Location"] = f"/matches/{match.id}"
+    owner, request = principal.owner, body.request()
+    match, created = matches.submit_match(service.sessions, request, owner=owner, **submitted.options(owner))
+    submitted.made(f"/matches/{match.id}", match, created=created)
     return service.show_matches([match])[0]
 
 
 @router.get("/matches", responses=_LIST)
 def list_matches(
-    principal: Reader, service: ServiceDep, owner: Owner = None, limit: PageLimit = 50, cursor: Cursor = None
+    principal: Reader,
+    service: ServiceDep,
+    owner: Owner = None,
+    tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
+    limit: PageLimit = 50,
+    cursor: Cursor = None,
 ) -> MatchPage:
     """List matches, newest first."""
     wanted = _owner(principal, owner)
-    rows = queries.list_matches(service.reads, owner=wanted, limit=limit + 1, before=cursor)
+    tags = [item for item in tag if "\x00" not in item]
+    rows = queries.list_matches(service.reads, owner=wanted, tags=tags, limit=limit + 1, before=cursor)
     return MatchPage.of(service.show_matches(rows), limit)
 
 

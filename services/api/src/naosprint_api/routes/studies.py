@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Path, Query
 from naojobs import studies
 from naojobs.errors import InvalidError, NotFoundError
 from naojobs.ids import PATTERN
@@ -13,7 +13,7 @@ from naojobs.studies import StudyRequest
 from naospec.search import SearchSpec
 
 from naosprint_api import queries
-from naosprint_api.dependencies import CountedRoute, Cursor, IdempotencyKey, PageLimit, Reader, ServiceDep, Submitter
+from naosprint_api.dependencies import CountedRoute, Cursor, PageLimit, Reader, ServiceDep, Submitter
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
 from naosprint_api.schemas import (
@@ -27,6 +27,7 @@ from naosprint_api.schemas import (
     TrialTell,
 )
 from naosprint_api.service import Service
+from naosprint_api.submitted import SubmissionDep
 
 router = APIRouter(tags=["studies"], route_class=CountedRoute)
 
@@ -51,32 +52,19 @@ def _details(service: Service, study: Study) -> StudyDetails:
     status_code=201,
     responses={
         **responses(401, 403, 409, 413, 422, 429, 503),
-        200: {"model": StudyPublic, "description": "Known already"},
+        200: {"model": StudyPublic, "description": "Exists already"},
     },
 )
-def submit_study(
-    body: StudyCreate,
-    principal: Submitter,
-    service: ServiceDep,
-    response: Response,
-    idempotency_key: IdempotencyKey = None,
-) -> StudyPublic:
+def submit_study(body: StudyCreate, principal: Submitter, service: ServiceDep, submitted: SubmissionDep) -> StudyPublic:
     """Start a search for settings; its trials are jobs of a group with the study's id."""
     limit = service.settings.api_max_open_jobs
     if body.search.parallel > limit:
         raise InvalidError(f"at most {limit} jobs may be open at a time; use a lower number", "search.parallel")
-    request = StudyRequest(body.job.request(), body.search, body.name)
+    owner, request = principal.owner, StudyRequest(body.job.request(), body.search, body.name)
     study, created = studies.submit_study(
-        service.sessions,
-        request,
-        owner=principal.owner,
-        idempotency_key=idempotency_key,
-        limits=service.settings.limits,
-        see_all=principal.is_admin,
+        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options(owner)
     )
-    if not created:
-        response.status_code = 200
-    response.headers["Location"] = f"/studies/{study.id}"
+    submitted.made(f"/studies/{study.id}", created=created)
     return StudyPublic.model_validate(study)
 
 

@@ -1,7 +1,30 @@
 /** Read an evaluation: its results and its recorded paths. */
 
-import { request } from "./api.js";
+import { call, request } from "./api.js";
+import { toast } from "./dom.js";
 import { readNpz } from "./npz.js";
+
+/** Request of a few episodes of which one is recorded, and of its film. */
+export const FILM = { spec: { episodes: 5, trajectories: 5, bootstrap_resamples: 100 }, report: "film" };
+
+/**
+ * Ask for an evaluation of a job's checkpoint; the button is disabled meanwhile. Resolves to it, or to null if it was
+ * refused.
+ */
+export async function requestEvaluation(store, button, body, done) {
+  button.disabled = true;
+  try {
+    const made = await call(`${store.path}/evaluations`, { method: "POST", body });
+    toast(done);
+    await store.loadEvaluations();
+    return made;
+  } catch (error) {
+    toast(error.message, "error");
+    return null;
+  } finally {
+    button.disabled = false;
+  }
+}
 
 /** Whether this is a document that describes its results; those of version 0.1 do not. */
 export const hasResults = (summary) => Array.isArray(summary?.results);

@@ -1,7 +1,8 @@
 /** The checkpoints of a job: download, evaluate, register, start another job from one. */
 
-import { call, download } from "../api.js";
+import { download } from "../api.js";
 import { fill, h, heading, icon, scroller, setText, table, toast } from "../dom.js";
+import { FILM, requestEvaluation } from "../evaluation.js";
 import { ago, bytes, integer, stamp } from "../format.js";
 import { registerCheckpoint } from "./job-edit.js";
 import { notice } from "./messages.js";
@@ -94,24 +95,18 @@ export class CheckpointsTab {
       icon("download"),
       "Download",
     );
-    const evaluate = h(
-      "button",
-      {
-        class: "small",
-        onclick: async () => {
-          evaluate.disabled = true;
-          try {
-            await call(`${this.store.path}/evaluations`, { method: "POST", body: { checkpoint_id: c.id } });
-            toast(`Step ${integer(c.step)} will be evaluated.`);
-            this.store.loadEvaluations().catch(() => {});
-          } catch (error) {
-            toast(error.message, "error");
-          } finally {
-            evaluate.disabled = false;
-          }
-        },
-      },
-      "Evaluate",
+    const step = `Step ${integer(c.step)}`;
+    const ask = (label, title, body, done) => {
+      const request = () => requestEvaluation(this.store, button, { checkpoint_id: c.id, ...body }, done);
+      const button = h("button", { class: "small", title, onclick: request }, label);
+      return button;
+    };
+    const evaluate = ask("Evaluate", "Measure this policy", {}, `${step} will be evaluated.`);
+    const film = ask(
+      "Film",
+      "Run a few episodes and film one; the film appears under Report",
+      FILM,
+      `${step} will be filmed; the film appears under Report.`,
     );
     const files = h(
       "details",
@@ -152,6 +147,7 @@ export class CheckpointsTab {
           { class: "row end" },
           all,
           evaluate,
+          film,
           h("button", { class: "small", onclick: () => registerCheckpoint(job, c) }, "Register"),
           h(
             "a",

@@ -1,10 +1,9 @@
 /** The evaluations of a job: headline, tables, all results, paths on the field, directions, gait. */
 
-import { call } from "../api.js";
 import { Chart } from "../charts.js";
 import { descriptions } from "../descriptions.js";
-import { fill, h, icon, scroller, toast } from "../dom.js";
-import { fallNote, gait, Paths, representative } from "../evaluation.js";
+import { fill, h, icon, scroller } from "../dom.js";
+import { fallNote, gait, Paths, representative, requestEvaluation } from "../evaluation.js";
 import { Figure, field, gaitDiagram, histogram } from "../figures.js";
 import { ago, bytes, fixed, integer, percent, stamp } from "../format.js";
 import { isEnded } from "../states.js";
@@ -145,17 +144,8 @@ export class EvaluationTab {
   }
 
   async ask(button) {
-    button.disabled = true;
-    try {
-      const made = await call(`${this.store.path}/evaluations`, { method: "POST", body: {} });
-      toast("The newest checkpoint will be evaluated.");
-      await this.store.loadEvaluations();
-      this.go(`/jobs/${this.store.id}/evaluation/${made.id}`);
-    } catch (error) {
-      toast(error.message, "error");
-    } finally {
-      button.disabled = false;
-    }
+    const made = await requestEvaluation(this.store, button, {}, "The newest checkpoint will be evaluated.");
+    if (made) this.go(`/jobs/${this.store.id}/evaluation/${made.id}`);
   }
 
   async show(evaluation) {

@@ -1,7 +1,7 @@
 /** Watch the recorded episodes of a job, and record its newest checkpoint. */
 
-import { call } from "../api.js";
-import { fill, h, icon, toast } from "../dom.js";
+import { fill, h, icon } from "../dom.js";
+import { FILM, requestEvaluation } from "../evaluation.js";
 import { integer, stamp } from "../format.js";
 import { Player } from "./player.js";
 
@@ -101,19 +101,9 @@ export class ReplayTab {
 
   /** Request a few episodes of the newest checkpoint, one of which is recorded. */
   async record(button) {
-    button.disabled = true;
-    try {
-      const made = await call(`${this.store.path}/evaluations`, {
-        method: "POST",
-        body: { spec: { episodes: 5, trajectories: 5, bootstrap_resamples: 100 } },
-      });
-      toast("A worker will run the newest checkpoint.");
-      this.wanted = made.id;
-      await this.store.loadEvaluations();
-    } catch (error) {
-      toast(error.message, "error");
-      button.disabled = false;
-    }
+    const done = "A worker will run the newest checkpoint.";
+    const made = await requestEvaluation(this.store, button, { spec: FILM.spec }, done);
+    this.wanted = made?.id ?? this.wanted;
   }
 
   stop() {

@@ -2,46 +2,111 @@
 
 import { call, url } from "../api.js";
 import { fill, h, icon } from "../dom.js";
-import { representative } from "../evaluation.js";
+import { FILM, representative, requestEvaluation } from "../evaluation.js";
+import { integer, stamp } from "../format.js";
 import { fetchInto } from "./job-checkpoints.js";
 import { notice } from "./messages.js";
 
 const PAGE = "report.html";
-const FILM = "run.mp4";
+const FILM_FILE = "run.mp4";
+
+const OPEN = new Set(["queued", "starting", "running"]);
 
 export class ReportTab {
-  constructor(root, store) {
+  constructor(root, store, { sub, go }) {
     this.root = root;
     this.store = store;
-    store.on("evaluations", () => this.draw());
+    this.go = go;
+    this.wanted = sub ?? null;
+    for (const topic of ["evaluations", "checkpoints"]) store.on(topic, () => this.draw());
     this.draw();
+  }
+
+  /** Show another report of the same job. */
+  update({ sub }) {
+    this.wanted = sub ?? null;
+    this.draw();
+    return true;
+  }
+
+  /** The buttons that have a worker draw a report of the newest checkpoint, with many episodes or with few. */
+  tools(open) {
+    const { checkpoints } = this.store;
+    const ask = (action, label, title, body, done) => {
+      const request = async () => {
+        const made = await requestEvaluation(this.store, button, body, done);
+        this.wanted = made?.id ?? this.wanted;
+      };
+      const props = { "data-action": action, title, disabled: !checkpoints?.length || open, onclick: request };
+      const button = h("button", props, label);
+      return button;
+    };
+    return [
+      ask(
+        "report",
+        "Make report",
+        "Evaluate the newest checkpoint, and draw curves, results and a film",
+        { report: "film" },
+        "A worker will evaluate the newest checkpoint and draw the report.",
+      ),
+      ask(
+        "film",
+        "Film the newest checkpoint",
+        "Run a few episodes and film one",
+        FILM,
+        "A worker will film the newest checkpoint.",
+      ),
+    ];
+  }
+
+  empty(open) {
+    return h(
+      "div",
+      { class: "card empty" },
+      h("h2", null, open ? "A worker draws it" : "No report yet"),
+      h(
+        "p",
+        null,
+        open
+          ? "It evaluates the policy first; the report opens here when it is done."
+          : "A worker evaluates the policy, and draws a page with curves, results and a film. From a terminal: ",
+        open ? null : h("code", null, `naoctl report ${this.store.job.name}`),
+      ),
+      h("div", { class: "row" }, this.tools(open)),
+    );
+  }
+
+  /** The select that shows another report; null for a single one. */
+  choice(reported, chosen) {
+    if (reported.length < 2) return null;
+    const steps = new Map((this.store.checkpoints ?? []).map((c) => [c.id, c.step]));
+    const title = (e) =>
+      `${steps.has(e.checkpoint_id) ? `Step ${integer(steps.get(e.checkpoint_id))}, ` : ""}${integer(e.spec.episodes)} episodes, ${stamp(e.created_at).slice(5, 16)}`;
+    const select = h(
+      "select",
+      {
+        "aria-label": "Which report",
+        style: { width: "auto" },
+        onchange: () => this.go(`/jobs/${this.store.id}/report/${select.value}`),
+      },
+      reported.map((e) => h("option", { value: e.id }, title(e))),
+    );
+    select.value = chosen.id;
+    return select;
   }
 
   async draw() {
     if (this.gone) return;
     const file = (evaluation, name) => evaluation.files.find((f) => f.name === name);
-    const reported = (this.store.evaluations ?? []).filter((e) => e.state === "succeeded" && file(e, PAGE));
-    const chosen = representative(reported) ?? reported[0];
-    if (chosen && chosen.id === this.shown) return;
-    this.shown = chosen?.id;
+    const evaluations = this.store.evaluations ?? [];
+    const reported = evaluations.filter((e) => e.state === "succeeded" && file(e, PAGE));
+    const open = evaluations.some((e) => OPEN.has(e.state) && e.report && e.report !== "off");
+    const chosen = reported.find((e) => e.id === this.wanted) ?? representative(reported) ?? reported[0];
+    const key = JSON.stringify([chosen?.id, reported.length, open, Boolean(this.store.checkpoints?.length)]);
+    if (key === this.shown) return;
+    this.shown = key;
     if (!chosen) {
-      fill(
-        this.root,
-        h(
-          "div",
-          { class: "card empty" },
-          h("h2", null, "No report yet"),
-          h(
-            "p",
-            null,
-            "A worker stores one with every evaluation if it is started with ",
-            h("code", null, "NAOSPRINT_WORKER_REPORT=film"),
-            ". From a terminal, ",
-            h("code", null, `naoctl report ${this.store.job.name}`),
-            " makes one at any time.",
-          ),
-        ),
-      );
+      fill(this.root, this.empty(open));
       return;
     }
     const save = (name, label) => {
@@ -57,10 +122,18 @@ export class ReportTab {
     };
     try {
       const page = await call(`evaluations/${chosen.id}/report`, { method: "POST", signal: this.store.signal });
-      if (this.gone) return;
+      if (this.gone || this.shown !== key) return;
       const address = url(page.url).href;
       fill(
         this.root,
+        h(
+          "div",
+          { class: "row wrap", style: { "margin-bottom": "1rem" } },
+          this.choice(reported, chosen),
+          h("span", { style: { flex: 1 } }),
+          open ? h("span", { class: "muted" }, "A worker draws another one.") : null,
+          this.tools(open),
+        ),
         h(
           "section",
           { class: "card" },
@@ -70,7 +143,7 @@ export class ReportTab {
             h("h2", null, "Report"),
             h("a", { class: "button small", href: address, target: "_blank", rel: "noreferrer" }, "Open in a new tab"),
             save(PAGE, "Report"),
-            save(FILM, "Film"),
+            save(FILM_FILE, "Film"),
           ),
           h("iframe", { class: "report", src: address, title: `Report of ${this.store.job.name}` }),
         ),

@@ -1,7 +1,7 @@
 /** The studies: searches for settings. */
 
 import { call } from "../api.js";
-import { fill, h, heading, scroller, table } from "../dom.js";
+import { fill, h, heading, icon, scroller, table } from "../dom.js";
 import { ago, stamp } from "../format.js";
 import { loading, refreshed } from "./messages.js";
 import { studyBadge } from "./study.js";
@@ -13,7 +13,12 @@ const NONE = h(
   "div",
   { class: "empty" },
   h("h2", null, "No studies yet"),
-  h("p", null, "A study searches for the best settings of a training: ", h("code", null, "naoctl tune")),
+  h(
+    "p",
+    null,
+    "A study searches for the best settings of a training. From a terminal: ",
+    h("code", null, "naoctl tune"),
+  ),
 );
 
 const row = (study) =>
@@ -31,7 +36,8 @@ const row = (study) =>
 export async function mount(root, { signal }) {
   document.title = "Studies · naosprint";
   const box = h("div", { class: "card" }, loading("Loading studies"));
-  fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Studies")), box);
+  const start = h("a", { class: "button primary", href: "#/submit?study=1" }, icon("plus"), "New study");
+  fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Studies"), start), box);
   const read = async () => {
     const { items } = await call("studies?limit=200", { signal });
     if (!items.length) return NONE;

@@ -5,9 +5,11 @@ import { descriptions } from "../descriptions.js";
 import { fill, h, setText, toast } from "../dom.js";
 import { compact, integer, words } from "../format.js";
 import { read, write } from "../kept.js";
-import { choices, field, fromText, provided, resolve, seeds, toText, variant } from "../schema.js";
+import { choices, field, provided, resolve, seeds, variant } from "../schema.js";
+import { Field } from "./field.js";
 import { loading, notice } from "./messages.js";
 import { presetValues } from "./spec-list.js";
+import { StudyForm } from "./study-form.js";
 
 /** Sections that a plug-in defines, in the form's order; whether each is open at first. */
 const SECTIONS = [
@@ -24,155 +26,7 @@ const LEFT_OUT = new Set(["name", "preset", "version"]);
 /** Fields that a request always contains. */
 const ALWAYS = new Set(["spec.task.name", "spec.robot.name", "spec.simulator.name", "spec.total_steps", "spec.seed"]);
 
-/** Fields that the basic form shows; the others keep the values of preset or recipe. */
-const BASIC = new Set(["spec.task.name", "spec.robot.name", "spec.total_steps", "spec.seed", "name", "tags"]);
 const LEVEL_KEY = "naosprint.form";
-
-const sameValue = (a, b) => JSON.stringify(a ?? null) === JSON.stringify(b ?? null);
-
-/** One field of the form: its control, what the user changed and what is wrong with it. */
-class Field {
-  constructor(spec, path, onChange) {
-    this.spec = spec;
-    this.path = path;
-    this.touched = false;
-    this.base = spec.fallback;
-    const id = `f-${path.replace(/\W/g, "-")}`;
-    const help = `${id}-help`;
-    this.trouble = h("p", { class: "problem", id: `${id}-problem`, role: "alert" });
-    const changed = () => {
-      this.touched = !sameValue(this.peek(), this.base);
-      this.paint();
-      if (this.trouble.textContent && this.peek() !== undefined) this.fail("");
-      onChange(this);
-    };
-    const common = { id, name: path, "aria-describedby": `${help} ${id}-problem` };
-    if (spec.kind === "choice")
-      this.control = h(
-        "select",
-        { ...common, onchange: changed },
-        spec.choices.map((c, i) => h("option", { value: i }, c === null ? "none" : String(c))),
-      );
-    else if (spec.kind === "flag") this.control = h("input", { ...common, type: "checkbox", onchange: changed });
-    else
-      this.control = h("input", {
-        ...common,
-        type: "text",
-        autocomplete: "off",
-        spellcheck: "false",
-        inputmode: spec.kind === "integer" || spec.kind === "number" ? "decimal" : null,
-        placeholder: spec.nullable ? "none" : null,
-        oninput: changed,
-        onblur: () => this.settle(),
-      });
-    this.undo = h(
-      "button",
-      {
-        type: "button",
-        class: "ghost reset",
-        hidden: true,
-        "aria-label": `Back to the preset's ${spec.label}`,
-        onclick: () => {
-          this.touched = false;
-          this.set(this.base);
-          this.fail("");
-          onChange(this);
-        },
-      },
-      "reset",
-    );
-    const label = h(
-      "label",
-      { for: id },
-      spec.kind === "flag" ? this.control : null,
-      h("span", { class: "t" }, spec.label),
-      spec.unit ? h("span", { class: "unit" }, spec.unit) : null,
-      this.undo,
-    );
-    this.element = h(
-      "div",
-      { class: ["field", spec.kind === "flag" && "check", !BASIC.has(path) && "advanced"], "data-field": path },
-      label,
-      spec.kind === "flag" ? null : this.control,
-      h("p", { class: "hint", id: help }, spec.hint),
-      this.trouble,
-    );
-    this.set(this.base);
-  }
-
-  /** Set the value that applies until the user changes it. */
-  setBase(value) {
-    this.base = value;
-    if (!this.touched) this.set(value);
-    else {
-      this.touched = !sameValue(this.peek(), value);
-      this.paint();
-    }
-  }
-
-  set(value) {
-    if (this.spec.kind === "choice")
-      this.control.value = String(
-        Math.max(
-          0,
-          this.spec.choices.findIndex((c) => sameValue(c, value)),
-        ),
-      );
-    else if (this.spec.kind === "flag") this.control.checked = Boolean(value);
-    else this.control.value = toText(this.spec, value);
-    this.paint();
-  }
-
-  /** Set as if the user had typed it. */
-  choose(value) {
-    this.touched = !sameValue(value, this.base);
-    this.set(value);
-  }
-
-  /** Hide the field, with its default again, where its setting is not possible. */
-  allow(possible) {
-    this.element.hidden = !possible;
-    if (possible || !this.touched) return;
-    this.touched = false;
-    this.set(this.base);
-    this.fail("");
-  }
-
-  /** Return the value; throws when the text is none. */
-  value() {
-    if (this.spec.kind === "choice") return this.spec.choices[Number(this.control.value)];
-    if (this.spec.kind === "flag") return this.control.checked;
-    return this.spec.read ? this.spec.read(this.control.value) : fromText(this.spec, this.control.value);
-  }
-
-  peek() {
-    try {
-      return this.value();
-    } catch {
-      return undefined;
-    }
-  }
-
-  settle() {
-    try {
-      this.value();
-      this.fail("");
-    } catch (error) {
-      this.fail(error.message);
-    }
-  }
-
-  fail(message) {
-    this.trouble.textContent = message;
-    if (message) this.control.setAttribute("aria-invalid", "true");
-    else this.control.removeAttribute("aria-invalid");
-  }
-
-  paint() {
-    this.element.classList.toggle("changed", this.touched);
-    this.undo.hidden = !this.touched;
-  }
-}
 
 class SubmitView {
   constructor(root, { params, signal, go }) {
@@ -181,12 +35,15 @@ class SubmitView {
     this.signal = signal;
     this.go = go;
     this.fields = new Map();
+    /** What a study varies and optimizes; null in the form of a job. */
+    this.study = params.has("study") ? new StudyForm(this) : null;
+    this.title = this.study ? "New study" : "New job";
     // One key per form: pressing the button twice, or again after a lost answer, makes one job.
     this.key = crypto.randomUUID?.() ?? String(Math.random());
   }
 
   async start() {
-    document.title = "New job · naosprint";
+    document.title = `${this.title} · naosprint`;
     fill(this.root, h("div", { class: "card" }, loading("Loading the form")));
     const from = this.params.get("from") ?? this.params.get("parent");
     const get = (path) => call(path, { signal: this.signal });
@@ -337,11 +194,16 @@ class SubmitView {
       h(
         "form",
         { onsubmit: (e) => this.submit(e), novalidate: true },
-        h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / New"),
+        h(
+          "div",
+          { class: "crumbs" },
+          this.study ? h("a", { href: "#/studies" }, "Studies") : h("a", { href: "#/" }, "Jobs"),
+          " / New",
+        ),
         h(
           "div",
           { class: "page-head" },
-          h("h1", { class: "grow" }, "New job"),
+          h("h1", { class: "grow" }, this.title),
           h("div", { class: "segments", role: "group", "aria-label": "Settings to show" }, this.levels),
         ),
         h(
@@ -372,6 +234,7 @@ class SubmitView {
             sectionCard("task"),
             sectionCard("robot"),
             card("Length", steps),
+            this.study ? card("Search", this.study.element) : null,
             sectionCard("simulator"),
             sectionCard("algorithm"),
             card(this.training.runtime.title ?? "Runtime", speed, false),
@@ -408,7 +271,7 @@ class SubmitView {
                   "p",
                   { class: "muted", style: { "margin-bottom": "0.6rem" } },
                   "What the button sends to ",
-                  h("code", null, "POST /jobs"),
+                  h("code", null, this.study ? "POST /studies" : "POST /jobs"),
                   ":",
                 ),
                 this.preview,
@@ -536,7 +399,7 @@ class SubmitView {
     this.changed();
   }
 
-  /** Return the request; throws the first field's error, with all of them marked if `mark`. */
+  /** Return the path and the body of the request; throws the first field's error, with all of them marked if `mark`. */
   body(mark) {
     const spec = { algorithm: { preset: this.preset } };
     const evaluation = {};
@@ -578,7 +441,13 @@ class SubmitView {
       ...(checkpoint ? { parent_checkpoint_id: checkpoint } : {}),
       ...(this.parentPolicy && !parent ? { parent_policy: this.parentPolicy } : {}),
     };
-    return several ? { group: { job, seeds: several } } : { job };
+    if (!this.study) return several ? ["groups", { job, seeds: several }] : ["jobs", job];
+    if (several)
+      throw Object.assign(new Error("A study varies settings; give one seed."), {
+        field: this.fields.get("spec.seed"),
+      });
+    const { name, ...common } = job;
+    return ["studies", { job: common, search: this.study.search(mark), ...(name ? { name } : {}) }];
   }
 
   changed() {
@@ -611,17 +480,17 @@ class SubmitView {
           ? `about ${integer(Math.max(1, Math.ceil(total / Math.max(interval, rollout || 1))))}`
           : "–",
       ],
-      ["Jobs", integer(jobs)],
+      this.study ? ["Trials", integer(this.study.trials())] : ["Jobs", integer(jobs)],
     ];
     fill(
       this.overview,
       pairs.map(([k, v]) => [h("dt", null, k), h("dd", null, v)]),
       changed.length ? [h("dt", null, "Changed"), h("dd", null, changed.join(", "))] : null,
     );
-    this.button.textContent = jobs > 1 ? `Submit ${jobs} jobs` : "Submit job";
+    this.button.textContent = this.study ? "Start study" : jobs > 1 ? `Submit ${jobs} jobs` : "Submit job";
+    this.study?.update();
     try {
-      const request = this.body(false);
-      this.preview.textContent = JSON.stringify(request.group ?? request.job, null, 2);
+      this.preview.textContent = JSON.stringify(this.body(false)[1], null, 2);
     } catch (error) {
       this.preview.textContent = error.message;
     }
@@ -630,28 +499,23 @@ class SubmitView {
   async submit(event) {
     event.preventDefault();
     fill(this.trouble);
-    let request;
+    let path;
+    let body;
     try {
-      request = this.body(true);
+      [path, body] = this.body(true);
     } catch (error) {
       this.reveal(error.field);
       return;
     }
     this.button.disabled = true;
     try {
-      if (request.group) {
-        const group = await call("groups", {
-          method: "POST",
-          body: request.group,
-          headers: { "Idempotency-Key": this.key },
-        });
-        toast(`${group.jobs.length} jobs submitted.`);
-        this.go(`/compare?group=${group.id}`);
-      } else {
-        const job = await call("jobs", { method: "POST", body: request.job, headers: { "Idempotency-Key": this.key } });
-        toast(`${job.name} submitted.`);
-        this.go(`/jobs/${job.id}`);
-      }
+      const made = await call(path, { method: "POST", body, headers: { "Idempotency-Key": this.key } });
+      toast(
+        path === "groups"
+          ? `${made.jobs.length} jobs submitted.`
+          : `${made.name} ${this.study ? "started" : "submitted"}.`,
+      );
+      this.go(path === "groups" ? `/compare?group=${made.id}` : `/${path}/${made.id}`);
     } catch (error) {
       this.key = crypto.randomUUID?.() ?? String(Math.random());
       this.refused(error);
@@ -666,7 +530,7 @@ class SubmitView {
     let first = null;
     for (const [path, message] of error.fields ?? []) {
       const clean = path.replace(/^(body|job)\./, "").replace(/^job\./, "");
-      const f = this.fieldOf(clean);
+      const f = this.study?.fieldOf(clean) ?? this.fieldOf(clean);
       if (f) {
         f.fail(message);
         first ??= f;
@@ -676,7 +540,7 @@ class SubmitView {
       this.trouble,
       notice(
         "error",
-        "The service refused this job.",
+        `The service refused this ${this.study ? "study" : "job"}.`,
         left.length ? left.join(" ") : first ? "See the marked fields." : error.message,
       ),
     );
