@@ -18,8 +18,10 @@ from __future__ import annotations
 
 import atexit
 import ctypes
+import faulthandler
 import fcntl
 import gc
+import io
 import json
 import os
 import runpy
@@ -64,6 +66,8 @@ STARTUP = (
     *("OMP_", "GOMP_", "KMP_", "MKL_", "OPENBLAS_", "NPY_", "ATEN_", "TORCH"),
 )
 """Beginnings of the names of variables that an interpreter or a library reads when it is loaded."""
+FAULT_HANDLER, UNBUFFERED = "PYTHONFAULTHANDLER", "PYTHONUNBUFFERED"
+"""Those of them that a fork follows: a worker sets them for its children."""
 
 TRAINER = "naosprint_worker.trainer"
 """Module of the program that trains in a worker's child process."""
@@ -155,7 +159,8 @@ def _start() -> Template:
 
 
 def _startup(environment: Mapping[str, str]) -> dict[str, str]:
-    return {key: value for key, value in environment.items() if key.startswith(STARTUP) and key != "PYTHONPATH"}
+    followed = ("PYTHONPATH", FAULT_HANDLER, UNBUFFERED)
+    return {key: value for key, value in environment.items() if key.startswith(STARTUP) and key not in followed}
 
 
 def _request(
@@ -278,17 +283,36 @@ def _become(request: Mapping[str, Any], received: Sequence[int]) -> None:
     sys.orig_argv[:] = request["argv"]
     for name, number, mode in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):
         before = getattr(sys, name)
-        kept = {"encoding": before.encoding, "errors": before.errors}
-        new = open(number, mode, closefd=False, **kept)  # noqa: SIM115, it stays open
-        lines = (number == 2 or new.isatty()) and not before.write_through
-        new.reconfigure(line_buffering=lines, write_through=before.write_through)
+        new = _stream(number, mode, before.encoding, before.errors, unbuffered=bool(environment.get(UNBUFFERED)))
         setattr(sys, name, new)
         setattr(sys, f"__{name}__", new)
+    if environment.get(FAULT_HANDLER):
+        faulthandler.enable()
+    else:
+        faulthandler.disable()
     for seeded in ("random", "numpy.random"):
         sys.modules[seeded].seed()
+    if any(Path(item, "sitecustomize.py").exists() for item in path):
+        sys.modules.pop("sitecustomize", None)
+        __import__("sitecustomize")
     if request["module"] == TRAINER:
         signal.signal(signal.SIGPROF, lambda *_: time.sleep(RESTS_S))
         signal.setitimer(signal.ITIMER_PROF, UNSLOWED_S, RUNS_S)
+
+
+def _stream(number: int, mode: str, encoding: str, errors: str, *, unbuffered: bool) -> io.TextIOWrapper:
+    """Return one of the three standard streams as an interpreter opens it."""
+    raw: Any = io.FileIO(number, mode, closefd=False)
+    raw.name = ("<stdin>", "<stdout>", "<stderr>")[number]
+    binary = raw if unbuffered and mode == "w" else (io.BufferedReader if mode == "r" else io.BufferedWriter)(raw)
+    return io.TextIOWrapper(
+        binary,
+        encoding,
+        errors,
+        newline="\n",
+        line_buffering=not unbuffered and (number == 2 or raw.isatty()),
+        write_through=unbuffered,
+    )
 
 
 def _show(argv: Sequence[str], environment: Mapping[str, str]) -> None:

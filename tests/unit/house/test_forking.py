@@ -26,7 +26,10 @@ print(json.dumps({
     # without the signals that the C library uses itself
     "signals": [int(status[name], 16) & 0x7FFFFFFF for name in ("SigBlk", "SigIgn", "SigCgt")],
     "descriptors": sorted(int(number) for number in os.listdir("/proc/self/fd")),
-    "streams": [[s.encoding, s.errors, s.line_buffering] for s in (sys.stdin, sys.stdout, sys.stderr)],
+    "streams": [
+        [s.encoding, s.errors, s.line_buffering, s.write_through, type(s.buffer).__name__, s.name]
+        for s in (sys.stdin, sys.stdout, sys.stderr)
+    ],
 }))
 if "wait" in sys.argv:
     sys.stdout.flush()
@@ -45,6 +48,8 @@ def probe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the module `probe`, which is forked, and a copy `other` of it, which is executed."""
     for name in ("probe", "other"):
         (tmp_path / f"{name}.py").write_text(PROBE, encoding="utf-8")
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text("import os; os.environ['CUSTOMIZED'] = '1'", encoding="utf-8")
     monkeypatch.setattr(forking, "HEAVY", ("probe",))
     return tmp_path
 
@@ -57,12 +62,20 @@ def run(folder: Path, module: str, *words: str, **options: Any) -> tuple[int, di
     return done.returncode, json.loads(first), rest, done.stderr.replace("other", "probe")
 
 
+CHILD = {"PYTHONFAULTHANDLER": "1", "PYTHONUNBUFFERED": "1"}
+"""What a worker sets for its children."""
+
+
+@pytest.mark.parametrize("variables", [{}, CHILD], ids=["plain", "child of a worker"])
 @pytest.mark.parametrize("words", [(), ("message",)])
 @pytest.mark.parametrize("options", [{}, OPTIONS])
-def test_it_is_the_same_process(probe: Path, words: tuple[str, ...], options: dict[str, Any]) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(probe.parent), "ONE": "=a b"}
+def test_it_is_the_same_process(
+    probe: Path, words: tuple[str, ...], options: dict[str, Any], variables: dict[str, str]
+) -> None:
+    environment = {**os.environ, **variables, "PYTHONPATH": str(probe / "site"), "ONE": "=a b"}
     forked, executed = (run(probe, module, *words, env=environment, **options) for module in ("probe", "other"))
     assert forked == executed
+    assert executed[1]["environment"]["CUSTOMIZED"] == "1"
     assert executed[0] == (1 if words else 3) and executed[1]["parent"] == os.getpid()
 
 
