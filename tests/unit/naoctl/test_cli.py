@@ -355,9 +355,12 @@ def test_logs_follow_without_gap_or_repetition(
     assert naoctl("logs", "-n", "1", job()["id"]).out.split()[-2:] == ["line", "5"]
 
 
-def test_download_checks_every_file(server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path) -> None:
+def test_download_checks_every_file(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import hashlib
 
+    monkeypatch.setattr("naoctl.transfer.PAUSE_S", 0.001)
     content = b"weights"
     path = f"/jobs/{job()['id']}"
     file = {

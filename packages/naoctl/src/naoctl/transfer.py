@@ -19,6 +19,9 @@ from naoctl.errors import CliError, ExitCode
 ATTEMPTS = 7
 """Number of attempts to resume after a lost connection or a wrong answer: about 20 s."""
 
+PAUSE_S = 0.5
+"""Half of the first pause between two attempts; each is twice as long as the one before, and none longer than 5 s."""
+
 
 class WrongAnswer(CliError):
     """Answer with other bytes than promised, which a store in trouble may give for a moment."""
@@ -111,7 +114,7 @@ def fetch(
                     fix="Run the same command again, which resumes; if it repeats, the service's store is in trouble.",
                     code=ExitCode.UNREACHABLE,
                 ) from None
-        sleep(min(0.5 * 2**attempt, 5.0))
+        sleep(min(PAUSE_S * 2**attempt, 5.0))
     part.replace(target)
     sync(target.parent)
     return target
