@@ -10,8 +10,8 @@ How a fork becomes a child of the process that asked for it: the template forks 
 the kernel hands the program to the nearest ancestor that adopts orphans, which the asking process is while it waits.
 A worker starts trainings itself, so a worker gets a template of its own, forked before it begins.
 
-Trainings that are still running after a second of processor time are slowed to a fifth of a core: tests of deaths and
-outages watch trainings that would never end, and those computed more than everything else.
+Trainings of workers whose environment has ENDLESS_TRAININGS are slowed to a fifth of a core after a second of processor
+time: tests of deaths and outages watch trainings that would never end, and those computed more than everything else.
 """
 
 from __future__ import annotations
@@ -66,11 +66,13 @@ STARTUP = (
     *("OMP_", "GOMP_", "KMP_", "MKL_", "OPENBLAS_", "NPY_", "ATEN_", "TORCH"),
 )
 """Beginnings of the names of variables that an interpreter or a library reads when it is loaded."""
+QUIET = {"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "0", "KMP_BLOCKTIME": "0"}
+"""Those with which the template loads PyTorch, as trainings do: one in this process leaves them in its environment."""
 FAULT_HANDLER, UNBUFFERED = "PYTHONFAULTHANDLER", "PYTHONUNBUFFERED"
 """Those of them that a fork follows: a worker sets them for its children."""
 
-TRAINER = "naosprint_worker.trainer"
-"""Module of the program that trains in a worker's child process."""
+TRAINER, ENDLESS = "naosprint_worker.trainer", "ENDLESS_TRAININGS"
+"""Module of the program that trains in a worker's child process, and the variable with which it is slowed."""
 UNSLOWED_S, RUNS_S, RESTS_S = 1.0, 0.005, 0.02
 """Seconds of processor time after which a training is slowed, and for how long it then runs and rests in turns."""
 
@@ -160,7 +162,8 @@ def _start() -> Template:
 
 def _startup(environment: Mapping[str, str]) -> dict[str, str]:
     followed = ("PYTHONPATH", FAULT_HANDLER, UNBUFFERED)
-    return {key: value for key, value in environment.items() if key.startswith(STARTUP) and key not in followed}
+    read = {key: value for key, value in environment.items() if key.startswith(STARTUP) and key not in followed}
+    return {**QUIET, **read}
 
 
 def _request(
@@ -207,6 +210,8 @@ def _request(
         variables = dict(os.environ)
     else:
         variables = dict(os.fsdecode(item).split("=", 1) for item in environment)
+    if any(any(Path(item).glob("*.dist-info")) for item in variables.get("PYTHONPATH", "").split(os.pathsep) if item):
+        return None, []  # plug-ins are found when modules are loaded
     passed = [number for number in keep if number != error_write]
     request = {
         "argv": words,
@@ -295,7 +300,7 @@ def _become(request: Mapping[str, Any], received: Sequence[int]) -> None:
     if any(Path(item, "sitecustomize.py").exists() for item in path):
         sys.modules.pop("sitecustomize", None)
         __import__("sitecustomize")
-    if request["module"] == TRAINER:
+    if request["module"] == TRAINER and ENDLESS in environment:
         signal.signal(signal.SIGPROF, lambda *_: time.sleep(RESTS_S))
         signal.setitimer(signal.ITIMER_PROF, UNSLOWED_S, RUNS_S)
 

