@@ -299,7 +299,7 @@ class CompareView {
       h("div", { style: { height: "0.86rem" } }),
       this.evaluated,
       this.grid,
-      this.items.length > 1 ? this.plots.element : null,
+      this.items.length > 1 ? [h("div", { style: { height: "1.14rem" } }), this.plots.element] : null,
     );
     this.plots.update(this.plotted());
     this.rebuildCharts();
