@@ -419,7 +419,7 @@ def test_trials_start_from_a_policy(service: Service, conductor: Conductor) -> N
     request = StudyRequest(JobRequest(spec, parent_policy="sprint"), search)
     with pytest.raises(InvalidError, match="hidden_sizes") as caught:
         studies.submit_study(service.sessions, request, owner="tester")
-    assert caught.value.field == "spec.algorithm.hidden_sizes"
+    assert caught.value.field == "job.spec.algorithm.hidden_sizes"
     parent = service.submit(announce=False, evaluate=False, total_steps=ROLLOUT)
     with pytest.raises(InvalidError, match="no checkpoint yet"):
         studies.submit_study(
