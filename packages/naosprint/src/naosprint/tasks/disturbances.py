@@ -191,11 +191,8 @@ class DisturbanceSettings(TaskSettings):
 
     def for_evaluation(self) -> Self:
         """Return the same settings without disturbances."""
-        return (
-            super()
-            .for_evaluation()
-            .model_copy(update={name: DisturbanceSettings.model_fields[name].default for name in _NAMES})
-        )
+        ideal = {name: DisturbanceSettings.model_fields[name].default for name in _NAMES}
+        return super().for_evaluation().model_copy(update=ideal)
 
 
 _NAMES = tuple(name for name in DisturbanceSettings.model_fields if name not in TaskSettings.model_fields)

@@ -7,7 +7,7 @@ import { compact, significant } from "./format.js";
 const HEIGHT = 320;
 /** Least distance of parallel axes, pixels. */
 const PITCH = 104;
-/** Ratio of the ends from which positive numbers that nobody describes are on a logarithmic scale. */
+/** Ratio of the ends from which positive numbers without a description are on a logarithmic scale. */
 const LOGARITHMIC = 20;
 /** Most values on an axis of choices that are labelled. */
 const MOST_LABELS = 12;
@@ -16,7 +16,7 @@ export const missing = (value) => value === null || value === undefined || Numbe
 const textOf = (value) => (typeof value === "string" ? value : JSON.stringify(value));
 const short = (text, most = 16) => (text.length > most ? `${text.slice(0, most - 1)}…` : text);
 
-/** Axis of values that are no numbers: each value has a place of its own. */
+/** Axis of values that are not numbers: each value has a place of its own. */
 function choices(title, values) {
   const options = [...new Set(values.map(textOf))];
   const place = (value) => (options.length > 1 ? options.indexOf(textOf(value)) / (options.length - 1) : 0.5);
@@ -26,7 +26,7 @@ function choices(title, values) {
   return { title, place: parse, marks, format: textOf };
 }
 
-/** A number that nobody describes. */
+/** A number without a description. */
 const plainText = (value, more = 0) =>
   Math.abs(value) >= 1e4 ? compact(value) : significant(value, 3 + more).replace(/\.0+e/, "e");
 

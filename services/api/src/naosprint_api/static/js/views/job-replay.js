@@ -2,31 +2,17 @@
 
 import { fill, h, icon } from "../dom.js";
 import { FILM, requestEvaluation } from "../evaluation.js";
-import { integer, stamp } from "../format.js";
+import { isEnded } from "../states.js";
+import { RecordedTab } from "./job-recorded.js";
 import { Player } from "./player.js";
 
-export class ReplayTab {
-  constructor(root, store, { sub, go }) {
-    this.root = root;
-    this.store = store;
-    this.go = go;
-    this.wanted = sub ?? null;
-    for (const topic of ["evaluations", "checkpoints"]) store.on(topic, () => this.draw());
-    this.draw();
-  }
-
-  update({ sub }) {
-    this.wanted = sub ?? null;
-    this.draw();
-    return true;
-  }
-
+export class ReplayTab extends RecordedTab {
   draw() {
     if (this.gone) return;
     const { evaluations, checkpoints } = this.store;
     const file = (e) => e.files.find((f) => f.name === "replay.json");
     const watchable = (evaluations ?? []).filter((e) => e.state === "succeeded" && file(e));
-    const open = (evaluations ?? []).some((e) => ["queued", "starting", "running"].includes(e.state));
+    const open = (evaluations ?? []).some((e) => !isEnded(e.state));
     const chosen = watchable.find((e) => e.id === this.wanted) ?? watchable[0];
     const key = JSON.stringify([watchable.map((e) => e.id), chosen?.id, open, Boolean(checkpoints?.length)]);
     if (key === this.key) return;
@@ -59,23 +45,6 @@ export class ReplayTab {
       );
       return;
     }
-    const steps = new Map((checkpoints ?? []).map((c) => [c.id, c.step]));
-    const choice = h(
-      "select",
-      {
-        "aria-label": "Which recording",
-        style: { width: "auto" },
-        onchange: () => this.go(`/jobs/${this.store.id}/replay/${choice.value}`),
-      },
-      watchable.map((e) =>
-        h(
-          "option",
-          { value: e.id },
-          `${steps.has(e.checkpoint_id) ? `Step ${integer(steps.get(e.checkpoint_id))}` : "Deleted checkpoint"}, ${stamp(e.created_at).slice(5, 16)}`,
-        ),
-      ),
-    );
-    choice.value = chosen.id;
     if (this.shown !== chosen.id || !this.box?.isConnected) {
       this.stop();
       this.shown = chosen.id;
@@ -86,17 +55,7 @@ export class ReplayTab {
         signal: this.store.signal,
       });
     }
-    fill(
-      this.root,
-      h(
-        "div",
-        { class: "row wrap", style: { "margin-bottom": "1rem" } },
-        choice,
-        h("span", { style: { flex: 1 } }),
-        record,
-      ),
-      this.box,
-    );
+    fill(this.root, this.head("Which recording", "replay", watchable, chosen, record), this.box);
   }
 
   /** Request a few episodes of the newest checkpoint, one of which is recorded. */
@@ -113,7 +72,7 @@ export class ReplayTab {
   }
 
   destroy() {
-    this.gone = true;
+    super.destroy();
     this.stop();
   }
 }

@@ -3,32 +3,15 @@
 import { call, url } from "../api.js";
 import { fill, h, icon } from "../dom.js";
 import { FILM, representative, requestEvaluation } from "../evaluation.js";
-import { integer, stamp } from "../format.js";
+import { isEnded } from "../states.js";
 import { fetchInto } from "./job-checkpoints.js";
+import { RecordedTab } from "./job-recorded.js";
 import { notice } from "./messages.js";
 
 const PAGE = "report.html";
 const FILM_FILE = "run.mp4";
 
-const OPEN = new Set(["queued", "starting", "running"]);
-
-export class ReportTab {
-  constructor(root, store, { sub, go }) {
-    this.root = root;
-    this.store = store;
-    this.go = go;
-    this.wanted = sub ?? null;
-    for (const topic of ["evaluations", "checkpoints"]) store.on(topic, () => this.draw());
-    this.draw();
-  }
-
-  /** Show another report of the same job. */
-  update({ sub }) {
-    this.wanted = sub ?? null;
-    this.draw();
-    return true;
-  }
-
+export class ReportTab extends RecordedTab {
   /** The buttons that have a worker draw a report of the newest checkpoint, with many episodes or with few. */
   tools(open) {
     const { checkpoints } = this.store;
@@ -76,31 +59,12 @@ export class ReportTab {
     );
   }
 
-  /** The select that shows another report; null for a single one. */
-  choice(reported, chosen) {
-    if (reported.length < 2) return null;
-    const steps = new Map((this.store.checkpoints ?? []).map((c) => [c.id, c.step]));
-    const title = (e) =>
-      `${steps.has(e.checkpoint_id) ? `Step ${integer(steps.get(e.checkpoint_id))}, ` : ""}${integer(e.spec.episodes)} episodes, ${stamp(e.created_at).slice(5, 16)}`;
-    const select = h(
-      "select",
-      {
-        "aria-label": "Which report",
-        style: { width: "auto" },
-        onchange: () => this.go(`/jobs/${this.store.id}/report/${select.value}`),
-      },
-      reported.map((e) => h("option", { value: e.id }, title(e))),
-    );
-    select.value = chosen.id;
-    return select;
-  }
-
   async draw() {
     if (this.gone) return;
     const file = (evaluation, name) => evaluation.files.find((f) => f.name === name);
     const evaluations = this.store.evaluations ?? [];
     const reported = evaluations.filter((e) => e.state === "succeeded" && file(e, PAGE));
-    const open = evaluations.some((e) => OPEN.has(e.state) && e.report && e.report !== "off");
+    const open = evaluations.some((e) => !isEnded(e.state) && e.report && e.report !== "off");
     const chosen = reported.find((e) => e.id === this.wanted) ?? representative(reported) ?? reported[0];
     const key = JSON.stringify([chosen?.id, reported.length, open, Boolean(this.store.checkpoints?.length)]);
     if (key === this.shown) return;
@@ -126,11 +90,11 @@ export class ReportTab {
       const address = url(page.url).href;
       fill(
         this.root,
-        h(
-          "div",
-          { class: "row wrap", style: { "margin-bottom": "1rem" } },
-          this.choice(reported, chosen),
-          h("span", { style: { flex: 1 } }),
+        this.head(
+          "Which report",
+          "report",
+          reported,
+          chosen,
           open ? h("span", { class: "muted" }, "A worker draws another one.") : null,
           this.tools(open),
         ),
@@ -152,9 +116,5 @@ export class ReportTab {
       if (error.name !== "AbortError")
         fill(this.root, notice("error", "The report could not be opened.", error.message));
     }
-  }
-
-  destroy() {
-    this.gone = true;
   }
 }

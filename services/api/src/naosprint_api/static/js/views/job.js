@@ -125,7 +125,7 @@ class JobStore extends EventTarget {
     this.notify("evaluations");
     // Evaluations have no stream, so open ones are polled.
     clearTimeout(this.poll);
-    if (this.evaluations.some((e) => ["queued", "starting", "running"].includes(e.state)))
+    if (this.evaluations.some((e) => !isEnded(e.state)))
       this.poll = setTimeout(() => {
         if (!this.signal.aborted) this.loadEvaluations().catch(() => {});
       }, POLL_MS);
