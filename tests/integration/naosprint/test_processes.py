@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from naosprint.rl.checkpoint import read_file, verify_checkpoint
+
+from tests.ports import reserved_port
 
 SHAPE = ("--n-envs", "8", "--n-steps", "32", "--batch-size", "64", "--hidden-sizes", "8")
 LONG = ("--total-steps", "100000000", "--checkpoint-interval-steps", "256")
@@ -25,8 +26,7 @@ class Team:
 
     def start(self, *arguments: str | Path, size: int = 2) -> list[subprocess.Popen[str]]:
         """Start a training in `size` processes."""
-        with socket.create_server(("127.0.0.1", 0)) as server:
-            port = str(server.getsockname()[1])
+        port = str(reserved_port())
         command = [sys.executable, "-m", "naosprint", "train", *map(str, arguments), "--preset", "fast", *SHAPE]
         team = []
         for rank in range(size):
@@ -136,8 +136,7 @@ with connected() as processes:
 
 
 def test_the_mean_of_all_shares_is_the_gradient_of_the_minibatch(team: Team) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = str(server.getsockname()[1])
+    port = str(reserved_port())
     for rank in "01":
         place = {"RANK": rank, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
         team.started.append(

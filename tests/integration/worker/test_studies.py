@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import warnings
@@ -30,6 +29,7 @@ from sqlalchemy import select, text
 from tests.integration.attempts import claim_work
 from tests.integration.conftest import as_role
 from tests.integration.writes import append_metrics, record_checkpoint
+from tests.ports import reserved_port
 
 from .conftest import ROLLOUT, TINY, Broker, Service
 
@@ -82,8 +82,7 @@ def test_a_study_survives_the_death_of_worker_broker_and_api(
     service: Service, broker: Broker, request: pytest.FixtureRequest
 ) -> None:
     """Each trial has one job, ends once, and counts once."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = listener.getsockname()[1]
+    port = reserved_port()
     apis: list[subprocess.Popen[bytes]] = []
     request.addfinalizer(lambda: [api.kill() or api.wait() for api in apis])  # type: ignore[func-returns-value]
     _, secret = create_token(service.sessions, name="test", owner="alice", scopes=[Scope.SUBMIT])

@@ -18,6 +18,8 @@ from naosprint_api.__main__ import make_server
 from naosprint_api.settings import ApiSettings
 from naosprint_worker.settings import WorkerSettings
 
+from tests.ports import reserved_port
+
 from .conftest import ROLLOUT, TINY, Postgres, Service, WorkerProcess
 
 START_S = 30.0
@@ -27,8 +29,7 @@ START_S = 30.0
 @pytest.fixture
 def service(postgres: Postgres, template: str, tmp_path: Path) -> Iterator[Service]:
     """A service whose broker's address is one where nothing listens."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = listener.getsockname()[1]
+    port = reserved_port()
     url = f"redis://127.0.0.1:{port}/0"
     service = Service(postgres, url, postgres.new_database(template), tmp_path)
     yield service

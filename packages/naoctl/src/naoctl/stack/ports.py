@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 
+from naospec.ports import free_ports
+
 HOST = "127.0.0.1"
 
 Address = tuple[str, int]
@@ -27,6 +29,4 @@ def choose(preferred: list[int]) -> int:
     for port in preferred:
         if is_free(port):
             return port
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
+    return next(free_ports(HOST))

@@ -12,7 +12,6 @@ import fcntl
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import IO
 
 from naospec.files import user_folder
+from naospec.ports import free_ports
 
 from naosim.launchers.server import Address, ServerHandle, ServerProgram
 
@@ -45,22 +45,17 @@ class PortLease:
             if (lock := _lock(left)) is not None:
                 left.unlink(missing_ok=True)
                 lock.close()
-        probes = []
         try:
-            while len(self.ports) < count:
-                probe = socket.socket()
-                probes.append(probe)
-                probe.bind((host, 0))
-                port = probe.getsockname()[1]
+            for port in free_ports(host):
                 if (lock := _lock(folder / str(port))) is not None:
                     self._locks.append(lock)
                     self.ports.append(port)
+                if len(self.ports) == count:
+                    return
+            raise OSError(f"this machine has no {count} free ports")
         except OSError:
             self.release()
             raise
-        finally:
-            for probe in probes:
-                probe.close()
 
     def release(self) -> None:
         """Release the ports."""
