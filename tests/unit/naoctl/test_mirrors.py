@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import struct
 from collections.abc import Callable, Iterator
@@ -10,7 +11,9 @@ from typing import Any
 
 import pytest
 from naoctl.client import Client
-from naoctl.mirrors import Copy, DownloadMirror, MlflowMirror, WandbMirror, flat, mirror_jobs
+from naoctl.mirrors import Copy, DownloadMirror, flat, mirror_jobs
+from naoctl.mlflow_mirror import MlflowMirror
+from naoctl.wandb_mirror import WandbMirror
 
 Job = dict[str, Any]
 RESULT = {"results": [{"name": "top_speed_mps", "value": 4.03}, {"name": "time_28m_s", "value": None}]}
@@ -54,7 +57,85 @@ def service(server: Any, job: Callable[..., Job], event: Callable[..., str]) -> 
             columns = {name: [row.get(name) for row in later] for name in rows[0]} if later else {}
             request.json({"columns": columns, "rows": len(later), "total_rows": len(later), "last_seq": 1})
 
+        for path in ("/policies", f"/jobs/{shown[0]['id']}/checkpoints", f"/jobs/{shown[0]['id']}/evaluations"):
+            server.on("GET", path)(lambda request: request.json({"items": [], "next_cursor": None}))
+
     return play
+
+
+@pytest.fixture
+def files(server: Any) -> Callable[..., list[Job]]:
+    """Return a function that gives the service files and returns their description."""
+
+    def keep(path: str, contents: dict[str, bytes]) -> list[Job]:
+        for name, content in contents.items():
+            server.on("GET", f"{path}/{name}")(lambda request, content=content: request.raw(content))
+        return [
+            {
+                "name": name,
+                "url": f"{path}/{name}",
+                "size": len(content),
+                "sha256": hashlib.sha256(content).hexdigest(),
+            }
+            for name, content in contents.items()
+        ]
+
+    return keep
+
+
+@pytest.fixture
+def trained(server: Any, service: Callable[..., None], job: Callable[..., Job], files: Callable[..., list[Job]]) -> Job:
+    """A job of the service that has ended with two checkpoints, an evaluation and a report; return what can change.
+
+    It is registered as version 1 of the policy `walker`.
+    """
+    service(ROWS, {"state": "succeeded", "result": RESULT})
+    identifier = job()["id"]
+    points = [
+        {
+            "id": f"ckp_{step}",
+            "job_id": identifier,
+            "attempt": 1,
+            "step": step,
+            "files": files(f"/checkpoints/ckp_{step}/files", {"policy.npz": f"weights {step}".encode()}),
+        }
+        for step in (200, 300)
+    ]
+    results = {"evaluation.json": b"{}", "report.html": b"<p>curves</p>", "run.mp4": b"a film"}
+    evaluation = {
+        "id": "evl_1",
+        "state": "succeeded",
+        "summary": {"episodes": 10},
+        "finished_at": "2026-01-02T03:05:06Z",
+        "files": files("/evaluations/evl_1/files", results),
+    }
+    card = {
+        "name": "walker",
+        "reference": "walker@1",
+        "owner": "ada",
+        "version": 1,
+        "aliases": ["best", "latest"],
+        "job_id": identifier,
+        "checkpoint_id": "ckp_200",
+        "spec_sha256": "ab" * 32,
+        "notes": "It walks.",
+        "robot": "nao-0",
+        "task": "sprint1",
+        "steps": 200,
+    }
+    bundled = {**card, "name": "nao-sprint", "reference": "nao-sprint", "owner": None, "job_id": None}
+    registry = {"cards": [card]}
+
+    def page(path: str, items: Callable[[], list[Job]]) -> None:
+        server.on("GET", path)(lambda request: request.json({"items": items(), "next_cursor": None}))
+
+    page(f"/jobs/{identifier}/checkpoints", lambda: points)
+    page(f"/jobs/{identifier}/evaluations", lambda: [evaluation])
+    page("/policies", lambda: [bundled, registry["cards"][-1]])
+    page("/policies/walker/versions", lambda: registry["cards"][::-1])
+    for point in points:
+        server.on("GET", f"/checkpoints/{point['id']}")(lambda request, point=point: request.json(point))
+    return registry
 
 
 ROWS = [{"step": step, "attempt": 1, "time_s": step / 100, "reward": float(step)} for step in (100, 200, 300)]
@@ -77,6 +158,70 @@ def test_mlflow_has_a_run_with_settings_metrics_and_results(
         (200, 200.0, 1767323048000),
         (300, 300.0, 1767323049000),
     ]
+
+
+def test_mlflow_has_the_policy_the_report_and_the_film(
+    client: Client, trained: Job, job: Callable[..., Job], mlflow: Callable[[], MlflowMirror], tmp_path: Path
+) -> None:
+    notes: list[str] = []
+    mirror_jobs(client, mlflow, [job()["id"]], note=notes.append)
+    assert notes[1:] == [f"{job()['id']}: succeeded", "walker@1: registered as walker"]
+    mirror = mlflow()
+    (run,) = mirror._client.search_runs([mirror._experiment])
+    files = {
+        item.path
+        for folder in ("", "checkpoint-000000000300", "evaluation")
+        for item in mirror._client.list_artifacts(run.info.run_id, folder)
+    }
+    assert {"checkpoint-000000000300/policy.npz", "evaluation/report.html", "evaluation/run.mp4"} <= files
+    version = mirror._client.get_model_version_by_alias("walker", "best")
+    assert (version.run_id, version.tags["naosprint.reference"]) == (run.info.run_id, "walker@1")
+    assert version.description == "It walks."
+    folder = mirror._client.download_artifacts(run.info.run_id, "checkpoint-000000000200", str(tmp_path))
+    assert (Path(folder) / "policy.npz").read_bytes() == b"weights 200"
+    assert mirror._client.get_model_version_download_uri("walker", version.version).endswith("/checkpoint-000000000200")
+
+
+def test_later_versions_and_moved_aliases_are_copied_once(
+    client: Client, trained: Job, job: Callable[..., Job], mlflow: Callable[[], MlflowMirror]
+) -> None:
+    mirror_jobs(client, mlflow, [job()["id"]])
+    (first,) = trained["cards"]
+    second = {**first, "reference": "walker@2", "version": 2, "checkpoint_id": "ckp_300", "notes": ""}
+    trained["cards"] = [{**first, "aliases": ["old"]}, second]
+    for number in (2, 0):
+        notes: list[str] = []
+        mirror_jobs(client, mlflow, [job()["id"]], note=notes.append)
+        assert len([line for line in notes if "registered as" in line]) == number
+    mirror = mlflow()
+    assert mirror.registered("walker") == {"walker@1": ["old"], "walker@2": ["best"]}
+
+
+def test_a_file_that_cannot_be_had_costs_only_its_artifact(
+    server: Any, client: Client, trained: Job, job: Callable[..., Job], mlflow: Callable[[], MlflowMirror]
+) -> None:
+    gone = "/evaluations/evl_1/files/run.mp4"
+    server.on("GET", gone)(lambda request: request.problem(403, "no right to see it"))
+    notes: list[str] = []
+    mirror_jobs(client, mlflow, [job()["id"]], note=notes.append)
+    (line,) = [line for line in notes if "is not copied" in line]
+    assert line.startswith(f"{job()['id']}: evaluation is not copied: ")
+    mirror = mlflow()
+    (run,) = mirror._client.search_runs([mirror._experiment])
+    assert run.info.status == "FINISHED" and run.data.metrics["evaluation/top_speed_mps"] == 4.03
+    assert [item.path for item in mirror._client.list_artifacts(run.info.run_id)] == [
+        "checkpoint-000000000200",
+        "checkpoint-000000000300",
+    ]
+
+
+def test_without_artifacts_only_numbers_are_copied(
+    client: Client, trained: Job, job: Callable[..., Job], mlflow: Callable[[], MlflowMirror]
+) -> None:
+    mirror_jobs(client, mlflow, [job()["id"]], artifacts=False)
+    mirror = mlflow()
+    (run,) = mirror._client.search_runs([mirror._experiment])
+    assert not mirror._client.list_artifacts(run.info.run_id) and not mirror._client.search_registered_models()
 
 
 def test_a_copy_goes_on_where_it_stopped(
@@ -188,6 +333,42 @@ def test_weights_and_biases_has_a_run_that_can_be_uploaded(
         for entry in record.summary.update
     }
     assert summary["evaluation/top_speed_mps"] == 4.03
+
+
+def test_weights_and_biases_has_the_policy_the_report_and_the_film(
+    client: Client, trained: Job, job: Callable[..., Job], wandb: Callable[[], WandbMirror], tmp_path: Path
+) -> None:
+    notes: list[str] = []
+    mirror_jobs(client, wandb, [job()["id"]], note=notes.append)
+    assert notes[1:] == [f"{job()['id']}: succeeded", "walker@1: registered as walker"]
+    assert wandb().registered("walker") == {"walker@1": ["best"]}
+    mirror_jobs(client, wandb, [job()["id"]], note=notes.append)
+    assert len([line for line in notes if "registered as" in line]) == 1
+    pytest.importorskip("wandb").teardown()
+    records = [record for path in tmp_path.glob("wandb/offline-run-*/*.wandb") for record in read_records(path)]
+    artifacts = {
+        (made.name, made.type): (sorted(made.aliases), sorted(entry.path for entry in made.manifest.contents))
+        for record in records
+        if record.WhichOneof("record_type") in ("artifact", "request")
+        for made in [record.artifact if record.HasField("artifact") else record.request.log_artifact.artifact]
+        if made.name
+    }
+    identifier = job()["id"]
+    assert artifacts == {
+        (f"{identifier}-policy", "model"): (["checkpoint-000000000300", "latest"], ["policy.npz"]),
+        (f"{identifier}-evaluation", "evaluation"): (
+            ["evaluation", "latest"],
+            ["evaluation.json", "report.html", "run.mp4"],
+        ),
+        ("walker", "model"): (["best", "latest", "version-1"], ["policy.npz"]),
+    }
+    shown = {
+        entry.key or entry.nested_key[0]
+        for record in records
+        if record.HasField("history")
+        for entry in record.history.item
+    }
+    assert {"report", "film"} <= shown
 
 
 def read_records(path: Path) -> list[Any]:

@@ -27,6 +27,7 @@ from naoctl.config import Target
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode
 from naoctl.evaluations import headline, job_evaluation
+from naoctl.policies import checkpoint_folder
 from naoctl.render import duration
 from naoctl.stack.control import start_detached, stop
 from naoctl.stack.layout import Layout
@@ -155,7 +156,7 @@ class Demo:
         checkpoint = choose_checkpoint(client, job, evaluation["checkpoint_id"])
         folder = self.output / job["id"]
         chosen: list[tuple[str, Path, dict[str, Any]]] = [
-            ("checkpoint", folder / f"checkpoint-{checkpoint['step']:012d}", checkpoint),
+            ("checkpoint", folder / checkpoint_folder(checkpoint["step"]), checkpoint),
             ("evaluation", folder / "evaluation", evaluation),
         ]
         for item in fetch_artifacts(self.context, client, chosen):

@@ -38,6 +38,11 @@ def folder_name(job: dict[str, Any]) -> str:
     return f"{plain_name(job['name'], 'job')}-{plain_name(str(job['id'])[-6:])}"
 
 
+def checkpoint_folder(step: int) -> str:
+    """Return the name of the folder of a checkpoint."""
+    return f"checkpoint-{step:012d}"
+
+
 def policy_path(reference: str) -> str:
     """Return the address of a policy."""
     return f"/policies/{quote(reference, safe='@')}"

@@ -42,7 +42,7 @@ from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
 from naoctl.help import SettingsCommand
-from naoctl.policies import Trained, find_trained, folder_name
+from naoctl.policies import Trained, checkpoint_folder, find_trained, folder_name
 from naoctl.render import ago, cell, listing, pairs, size, stall_text, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
@@ -141,7 +141,7 @@ def choose_files(
     if found.policy is None:
         assert found.job is not None
         point = choose_checkpoint(client, found.job, checkpoint)
-        return "checkpoint", folder / f"checkpoint-{int(point['step']):012d}", point
+        return "checkpoint", folder / checkpoint_folder(point["step"]), point
     if checkpoint is not None:
         raise InvalidInput(
             "--checkpoint: a policy has one checkpoint", fix=f"Leave it out, or use {found.policy['name']}@VERSION."

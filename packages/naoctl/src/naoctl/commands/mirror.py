@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,12 +13,18 @@ import typer
 
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.errors import CliError, ExitCode
-from naoctl.mirrors import DownloadMirror, MlflowMirror, WandbMirror, mirror_jobs
+from naoctl.mirrors import DownloadMirror, mirror_jobs
+from naoctl.mlflow_mirror import MlflowMirror
 from naoctl.render import print_json_line
+from naoctl.wandb_mirror import WandbMirror
 
 Jobs = Annotated[
     list[str] | None,
     typer.Argument(metavar="[JOB...]", help="Jobs by id or name.", show_default="all", autocompletion=complete_job),
+]
+Artifacts = Annotated[
+    bool,
+    typer.Option("--artifacts/--no-artifacts", help="Copy checkpoints, reports, films and registered policies, too."),
 ]
 
 mirror = typer.Typer(no_args_is_help=True, help="Copy jobs to MLflow or Weights & Biases while they train.")
@@ -33,14 +40,15 @@ def mlflow(
     experiment: Annotated[
         str, typer.Option("--experiment", metavar="NAME", envvar="MLFLOW_EXPERIMENT_NAME", help="Experiment.")
     ] = "naosprint",
+    artifacts: Artifacts = True,
     as_json: JsonFlag = False,
 ) -> None:
-    """Copy jobs to MLflow: settings, metrics, and the results of the evaluation.
+    """Copy jobs to MLflow: settings, metrics, results, policy, report and film; and registered policies.
 
     Without JOB, all jobs until Ctrl-C: past ones that are missing, then those that run.
     """
     _require("mlflow")
-    _copy(context_of(ctx), jobs, lambda: MlflowMirror(uri, experiment), as_json=as_json)
+    _copy(context_of(ctx), jobs, partial(MlflowMirror, uri, experiment), artifacts=artifacts, as_json=as_json)
 
 
 @mirror.command()
@@ -60,15 +68,22 @@ def wandb(
         bool,
         typer.Option("--offline", help="Only write to the folder; `wandb sync` uploads it."),
     ] = False,
+    artifacts: Artifacts = True,
     as_json: JsonFlag = False,
 ) -> None:
-    """Copy jobs to Weights & Biases: settings, metrics, and the results of the evaluation.
+    """Copy jobs to Weights & Biases: settings, metrics, results, policy, report and film; and registered policies.
 
     Without JOB, all jobs until Ctrl-C: past ones that are missing, then those that run.
     """
     _require("wandb")
     offline = offline or os.environ.get("WANDB_MODE") == "offline"
-    _copy(context_of(ctx), jobs, lambda: WandbMirror(project, entity, folder, offline=offline), as_json=as_json)
+    _copy(
+        context_of(ctx),
+        jobs,
+        lambda: WandbMirror(project, entity, folder, offline=offline),
+        artifacts=artifacts,
+        as_json=as_json,
+    )
 
 
 def _require(package: str) -> None:
@@ -76,7 +91,14 @@ def _require(package: str) -> None:
         raise CliError(f"{package} is not installed here", fix=f"Install naoctl[{package}].")
 
 
-def _copy(context: Context, jobs: list[str] | None, connect: Callable[[], DownloadMirror], *, as_json: bool) -> None:
+def _copy(
+    context: Context,
+    jobs: list[str] | None,
+    connect: Callable[[], DownloadMirror],
+    *,
+    artifacts: bool,
+    as_json: bool,
+) -> None:
     def note(text: str) -> None:
         if as_json:
             print_json_line(context.out, {"kind": "note", "data": text})
@@ -86,7 +108,7 @@ def _copy(context: Context, jobs: list[str] | None, connect: Callable[[], Downlo
     with context.client() as client:
         chosen = [find_job(client, job)["id"] for job in jobs or ()]
         try:
-            mirror_jobs(client, connect, chosen, note=note)
+            mirror_jobs(client, connect, chosen, artifacts=artifacts, note=note)
         except KeyboardInterrupt:
             raise CliError(
                 "Stopped copying; the jobs continue",
