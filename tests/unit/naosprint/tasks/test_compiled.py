@@ -102,7 +102,16 @@ def test_a_mujoco_robot_too() -> None:
 @pytest.mark.parametrize(
     ("task", "settings"),
     [
-        (Velocity, {"flight_weight": 0.3, "fall_penalty": 0.2, "command_steps": 12, "action_penalty": 0.1}),
+        (
+            Velocity,
+            {
+                "flight_weight": 0.3,
+                "speed_weight": 0.5,
+                "fall_penalty": 0.2,
+                "command_steps": 12,
+                "action_penalty": 0.1,
+            },
+        ),
         (Velocity, {"command_growth": 0.3, "command_ellipsoid": True, "command_steps": 40, "forward_min_mps": -1.0}),
         (GetUp, {"smoothness_penalty": 0.2, "episode_steps": 30, "torque_penalty": 0.1}),
         (Kick, {"handover_states": 8, "approach_steps": 30, "takeover_steps": 2}),

@@ -165,9 +165,11 @@ def test_a_restart_leaves_the_others_commands_alone() -> None:
     assert not np.array_equal(after[1], before[1])
 
 
-def test_the_reward_is_for_following_the_command() -> None:
+@pytest.mark.parametrize("speed_weight", [0.0, 0.6])
+def test_the_reward_is_for_following_the_command(speed_weight: float) -> None:
     """Recomputed from positions and rotations of the torso alone."""
     weights = {
+        "speed_weight": speed_weight,
         "turn_weight": 0.5,
         "flight_weight": 0.4,
         "path_penalty": 2.0,
@@ -212,8 +214,8 @@ def test_the_reward_is_for_following_the_command() -> None:
         flies = np.array([any(a and b for a, b in itertools.pairwise(frames)) for frames in off.tolist()])
         flew |= bool((flies & fast).any() and (flies & ~fast).any())
         expected = (
-            0.5 * np.exp(-squared / TRACKING_SCALE)
-            + 0.5 / (1.0 + np.sqrt(squared))
+            (0.5 * np.exp(-squared / TRACKING_SCALE) + 0.5 / (1.0 + np.sqrt(squared)))
+            * (1.0 + speed_weight * np.hypot(command[:, 0], command[:, 1]))
             + 0.4 * (flies & fast)
             + 0.5 * np.exp(-(error[:, 2] ** 2) / TRACKING_SCALE)
             - 2.0 * np.minimum(np.abs(offset), OFFSET_LIMIT_M)

@@ -217,6 +217,15 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, Comma
     turn_weight: float = Field(
         default=0.5, ge=0.0, le=1000.0, title="Turn weight", description="Weight of the turn rate's tracking reward."
     )
+    speed_weight: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=100.0,
+        title="Speed weight",
+        description="What every meter per second of the commanded speed adds to the weight of the velocity's tracking "
+        "reward, which is 1 for standing. Fast commands are hard and rare; without it a robot rather misses them than "
+        "risks a fall.",
+    )
     flight_weight: float = Field(
         default=0.0,
         ge=0.0,
@@ -422,9 +431,12 @@ class Velocity(Task[VelocitySettings]):
         command, velocity = self._stored("command"), source(self.velocity)
         squared = total(square(velocity[:2] - command[:2]))
         off = absolute(self._stored("offset"))
+        # the Gaussian alone has no gradient for a robot that stands and should run at 2 m/s
+        tracking = 0.5 * exp(squared * -1.0 / TRACKING_SCALE) + 0.5 / (1.0 + sqrt(squared))
+        if settings.speed_weight:
+            tracking = tracking * (1.0 + settings.speed_weight * hypot(command[0], command[1]))
         return (
-            # the Gaussian alone has no gradient for a robot that stands and should run at 2 m/s
-            RewardTerm("track_velocity", 1.0, 0.5 * exp(squared * -1.0 / TRACKING_SCALE) + 0.5 / (1.0 + sqrt(squared))),
+            RewardTerm("track_velocity", 1.0, tracking),
             RewardTerm(
                 "track_turn",
                 settings.turn_weight,
