@@ -41,7 +41,18 @@ def test_a_match_from_the_form_to_its_film(browser: Browser, token: str, client:
     browser.shows("Succeeded", timeout_s=PLAY_S)
 
     browser.find("a[href$='/1']").click()
-    browser.find(".pitch")
+    browser.find(".stage.game canvas")
+    browser.picture(pictures / "match-replay.png")
+    robot = browser.find(".stage.game ~ .replay-bar select")
+    assert len(robot.find_elements("css selector", "option")) == 3
+    browser.js("arguments[0].value = '1'; arguments[0].dispatchEvent(new Event('change'));", robot)
+    browser.picture(pictures / "match-replay-robot.png")
+    browser.size(360, 740)
+    browser.theme("dark")
+    browser.picture(pictures / "match-replay-phone.png")
+    assert browser.js("return document.documentElement.scrollWidth") == 360
+    browser.size(1440, 900)
+    browser.theme("light")
     browser.find("[data-action=film]").click()
     browser.find("video.film")
     length = browser.until(lambda: browser.js("const v = document.querySelector('video'); return v.duration || 0;"))
@@ -51,8 +62,8 @@ def test_a_match_from_the_form_to_its_film(browser: Browser, token: str, client:
     assert match["film"] == "all"
 
 
-def test_the_workers_page_shows_the_match_that_a_worker_plays(
-    browser: Browser, token: str, client: httpx.Client
+def test_the_match_that_a_worker_plays_is_shown_live(
+    browser: Browser, token: str, client: httpx.Client, pictures: Path
 ) -> None:
     body = {"teams": ["example", "example:walk=t1-run-robust"], "games": 50, "players": 1, "half_s": 300}
     match = client.post("/matches", json=body).raise_for_status().json()
@@ -61,5 +72,10 @@ def test_the_workers_page_shows_the_match_that_a_worker_plays(
         browser.open("/workers")
         link = browser.find(f"a[href='#/matches/{match['id']}']", PLAY_S)
         assert link.text == match["id"]
+        link.click()
+        browser.find(".stage.game canvas", PLAY_S)
+        clock = browser.text(".board .muted")
+        browser.until(lambda: browser.text(".board .muted") != clock, PLAY_S)
+        browser.picture(pictures / "match-live.png")
     finally:
         client.post(f"/matches/{match['id']}/cancel").raise_for_status()

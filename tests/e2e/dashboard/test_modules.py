@@ -375,6 +375,59 @@ def test_replays_and_paths_are_on_the_field_of_the_league(
     assert found["last"] == {30.0: "15 m", 55.0: "20 m"}[length]
 
 
+def test_a_game_is_drawn_from_a_log_with_all_its_robots(page: Browser) -> None:
+    """Two T1: one that has turned to the left and pitches its head, one that enters in the last frame."""
+    found = page.module(
+        """
+        const [{ GameStage, figureOf }, { GameLog }, { Descriptions }, T] = await Promise.all([
+          ...["game3d", "game-log", "descriptions"].map((name) => import(`/ui/js/${name}.js`)),
+          import("/ui/vendor/three-0.187.0/three.min.js")]);
+        const ground = new Descriptions([], [], await (await fetch("/robots")).json()).field("t1");
+        const joints = new Int16Array(2 * 2 * 23);
+        joints[1] = joints[46 + 1] = Math.round(Math.PI / 2 / 2e-4);
+        const turned = [7071, 0, 0, 7071];
+        const arrays = { half: new Uint8Array(2), clock_s: new Float32Array([0, 0.04]), score: new Uint8Array(4),
+          ball: new Int16Array([0, 0, 110, 1000, 0, 110]),
+          torso: new Int16Array([1000, 2000, 670, 0, 0, 0, 1100, 2000, 670, 0, 0, 670]),
+          quaternion: new Int16Array([...turned, 10000, 0, 0, 0, ...turned, 10000, 0, 0, 0]),
+          joints, present: new Uint8Array([1, 0, 1, 1]) };
+        const log = new GameLog({ teams: ["a", "b"], robots: [[0, 1], [1, 4]], notes: {} }, arrays);
+        const host = document.getElementById("main");
+        host.replaceChildren();
+        const stage = new GameStage(host, log, await figureOf(log), ground);
+        const centre = (part, robot) => {
+          const matrix = new T.Matrix4();
+          stage.figures.parts.find((each) => each.shape.part === part).mesh.getMatrixAt(robot, matrix);
+          return [...matrix.elements.slice(12, 15), matrix.determinant()];
+        };
+        stage.show(0.5);
+        const half = { torso: centre("torso", 0), head: centre("head", 0), absent: centre("torso", 1),
+          ball: stage.ball.position.toArray(), plates: stage.plates.map((each) => each.visible) };
+        stage.show(1);
+        const last = { plates: stage.plates.map((each) => each.visible), torso: centre("torso", 1) };
+        stage.aim(0);
+        const behind = stage.camera.position.clone().sub(stage.controls.target).toArray();
+        const longer = log.joined(log, 1, 2);
+        stage.destroy();
+        return { half, last, behind, shade: stage.figures.parts.length, frames: longer.frames,
+          clock: [...longer.clock_s], width: longer.width };
+        """
+    )
+    half, last = found["half"], found["last"]
+    # its front, x, points to the field's y
+    assert half["torso"] == pytest.approx([1.05, 2.06, 0.79, 1.0], abs=2e-3)
+    # the head looks down, so that what was above the joint is before it, and what was before it below
+    assert half["head"] == pytest.approx([1.05, 2.0 + 0.0625 + 0.11, 0.67 + 0.3049 - 0.01, 1.0], abs=2e-3)
+    assert half["absent"][3] == 0.0
+    assert half["ball"] == pytest.approx([0.5, 0.0, 0.11])
+    assert half["plates"] == [True, False]
+    assert last["plates"] == [True, True]
+    assert last["torso"] == pytest.approx([0.06, 0.0, 0.79, 1.0], abs=2e-3)
+    assert found["behind"][1] < -2.0, "the camera stands behind the robot"
+    assert abs(found["behind"][0]) < 1e-3
+    assert (found["frames"], found["clock"], found["width"]) == (2, pytest.approx([0.04, 0.04]), 23)
+
+
 @pytest.mark.parametrize("size", [1.0, 2.08])
 def test_cameras_show_all_of_a_robot_and_its_head_has_a_neck(page: Browser, size: float) -> None:
     """A robot that lies in its first frame, with a head of any name."""

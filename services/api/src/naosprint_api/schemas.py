@@ -522,7 +522,10 @@ class MatchDetails(MatchPublic):
     summary: dict[str, Any] | None = Field(description="Results of the games so far; null before the first is over.")
     table: list[tuple[str, str, str]] = Field(description="The same in words: what, the first team's, the second's.")
     sums: list[str] = Field(description="Wins and goal difference with their intervals, in words.")
-    live: dict[str, Any] | None = Field(description="A running game, about a second ago; null if none runs.")
+    live: dict[str, Any] | None = Field(
+        description="A running game, about a second ago; null if none runs. `clip` is the log of its last two seconds "
+        "in base64."
+    )
     finished: list[GamePublic] = Field(description="The games that are over, by number.")
 
 

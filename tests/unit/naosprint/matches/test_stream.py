@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,8 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 from naosim import robots
-from naosprint.matches.log import HalfRecorder, joined
-from naosprint.matches.stream import PLAY_MODES, Stream, StreamError
+from naosprint.matches.log import CLIP_FRAMES, GameLog, HalfRecorder, joined
+from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
 from rcsssmj.games.soccer.play_mode import PlayMode
 from rcsssmj.games.soccer.sim.soccer_referee import SoccerReferee
 from rcsssmj.games.soccer.sim.soccer_sim import SoccerSimulation
@@ -81,6 +82,35 @@ def test_poses_and_state_are_those_of_the_simulation(game: tuple[SoccerSimulatio
     np.testing.assert_allclose(log.torso_m[-1], data.xpos[bodies], atol=0.006)
     np.testing.assert_allclose(np.abs((log.quaternion[-1] * data.xquat[bodies]).sum(axis=1)), 1.0, atol=1e-3)
     assert log.joints_rad.shape[2] == len(robots.get("t1").joints)
+
+
+@pytest.mark.parametrize(("played", "first", "expected"), [(60, 0, (0, 4)), (60, 21, (22, 2)), (12, 0, (0, 2))])
+def test_a_running_game_is_shown_by_a_log_of_its_last_frames(
+    tmp_path: Path, played: int, first: int, expected: tuple[int, int]
+) -> None:
+    recorder = HalfRecorder([(0, 1), (1, 1)], PLAYERS, left=1)
+    bodies = np.tile(np.vstack([np.eye(3), np.zeros(3)]).astype(np.float32), (24, 1, 1))
+    for frame in range(played):
+        bodies[0, 3] = [0.1 * frame, 1.0, 0.6]
+        ball = np.array([0.05 * frame, 0.0, 0.11])
+        found = {PLAYERS[0]: bodies.copy()}
+        recorder.add(Frame(0.04 * frame, 280.0 + 0.04 * frame, 3, (1, 0), ball, found, []))
+    (path := tmp_path / "clip.npz").write_bytes(base64.b64decode(recorder.clip(first, ("a", "b"), 1, (2, 3))))
+    clip = GameLog.load(path)
+    start, step = expected
+    shown = np.arange(start, played, step)
+    assert (clip.notes["first"], clip.notes["step"]) == expected
+    assert len(shown) <= CLIP_FRAMES
+    np.testing.assert_allclose(clip.ball_m[:, 0], 0.05 * shown, atol=1e-3)
+    np.testing.assert_allclose(clip.torso_m[:, 0, 0], 0.1 * shown, atol=1e-3)
+    np.testing.assert_allclose(clip.clock_s, 0.04 * shown, atol=1e-4)
+    assert clip.goals == (2, 4)
+    assert clip.present.tolist() == [[True, False]] * len(shown)
+
+
+def test_before_the_first_frame_and_without_a_new_one_nothing_is_shown() -> None:
+    recorder = HalfRecorder([(0, 1), (1, 1)], PLAYERS, left=0)
+    assert recorder.clip(0, ("a", "b"), 0, (0, 0)) == ""
 
 
 def test_modes_are_those_of_the_package() -> None:

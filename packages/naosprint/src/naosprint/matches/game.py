@@ -93,6 +93,7 @@ class Moment:
         goals: goals of both teams so far.
         ball: position of the ball on the field, m.
         players: team, uniform number, position, m, and direction, rad, of each robot on the field.
+        clip: log of the frames since the last moment but one, in base64; empty before the kick-off.
     """
 
     share: float
@@ -102,6 +103,7 @@ class Moment:
     goals: tuple[int, int]
     ball: tuple[float, float]
     players: list[tuple[int, int, float, float, float]]
+    clip: str = ""
 
 
 def play_game(
@@ -129,7 +131,7 @@ def play_game(
     notes = []
     for number in range(2):
         left = first_left if number == 0 else 1 - first_left
-        with _Half(teams, left, number, settings, halves[0].score if halves else (0, 0)) as half:
+        with _Half(teams, names, left, number, settings, halves[0].score if halves else (0, 0)) as half:
             halves.append(half.play(on_moment))
             notes.append(half.notes())
     summary = {"server": f"rcsssmj {RCSSSMJ_VERSION}", "half_s": settings.half_s, "halves": notes}
@@ -154,13 +156,23 @@ class _Half:
     """One half: a server, its monitor and the agents."""
 
     def __init__(
-        self, teams: tuple[Team, Team], left: int, number: int, settings: GameSettings, goals: tuple[int, int]
+        self,
+        teams: tuple[Team, Team],
+        titles: tuple[str, str],
+        left: int,
+        number: int,
+        settings: GameSettings,
+        goals: tuple[int, int],
     ) -> None:
         self._teams, self._left, self._number, self._settings = teams, left, number, settings
+        self._titles = titles
+        """Names of both teams for people."""
         self._goals = goals
         """Goals of both teams in the half before."""
         self._order = (left, 1 - left)
         """Teams in the order in which they enter: the first plays on the left."""
+        self._shown = [0, 0]
+        """Numbers of the frames that there were at the last two moments."""
         self._names = tuple("left" if team == left else "right" for team in range(2))
         self._launcher = _launcher(number, settings.half_s)
         self._server: ServerHandle | None = None
@@ -201,7 +213,7 @@ class _Half:
             if now - looked_at > _LOOK_S:
                 looked_at = now
                 self._look(frame)
-                on_moment(self._moment(frame, len(recorder)))
+                on_moment(self._moment(frame, recorder))
             if now > deadline:
                 raise MatchError(f"the half took more than {settings.wall_s:g} s of wall-clock time")
         self._look(frame)
@@ -253,9 +265,11 @@ class _Half:
             self._cpu_at = time.monotonic()
         self._cpu_cycles = round(frame.time_s / 0.02)
 
-    def _moment(self, frame: Frame, frames: int) -> Moment:
-        """Return what people see of the half after a number of frames."""
-        share = min(1.0, frames * 0.04 / self._settings.half_s)
+    def _moment(self, frame: Frame, recorder: HalfRecorder) -> Moment:
+        """Return what people see of the half now."""
+        share = min(1.0, len(recorder) * 0.04 / self._settings.half_s)
+        clip = recorder.clip(self._shown.pop(0), self._titles, self._number, self._goals)
+        self._shown.append(len(recorder))
         players = []
         for (side, number), bodies in frame.bodies.items():
             if len(bodies):
@@ -272,6 +286,7 @@ class _Half:
             goals=(self._goals[0] + goals[0], self._goals[1] + goals[1]),
             ball=(round(x, 2), round(y, 2)),
             players=players,
+            clip=clip,
         )
 
     def notes(self) -> dict[str, Any]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from naosim import robots
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 LEFT, RIGHT = 0, 1
+CLIP_FRAMES = 26
+"""Most frames of what is shown of a running game: about two seconds, every second frame."""
 _MAX_BYTES = 2_000_000_000
 _MM, _RAD, _QUATERNION = 1e-3, 2e-4, 1e-4
 """Units of the numbers in a file, which are integers of 16 bits."""
@@ -66,7 +70,7 @@ class GameLog:
         """Goals of both teams."""
         return (int(self.score[-1, 0]), int(self.score[-1, 1]))
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | IO[bytes]) -> None:
         """Write it to a file."""
         meta = {"format": FORMAT, "teams": self.teams, "robots": self.robots, "sides": self.sides, "notes": self.notes}
         arrays = {
@@ -165,22 +169,58 @@ class HalfRecorder:
         """Goals of both teams in this half."""
         return self._rows[-1][2] if self._rows else (0, 0)
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the frames as arrays; the clock begins with 0."""
-        clock = np.array([row[0] for row in self._rows], np.float32)
-        widest = max((each.shape[1] for each in self._angles), default=0)
+    def arrays(self, frames: slice = slice(None)) -> dict[str, NDArray[Any]]:
+        """Return frames, all of them if none are named, as arrays; the clock begins with 0."""
+        rows, poses, angles = self._rows[frames], self._poses[frames], self._angles[frames]
+        clock = np.array([row[0] for row in rows], np.float32)
+        widest = max((each.shape[1] for each in angles), default=0)
         return {
-            "clock_s": clock - clock[0],
-            "mode": np.array([row[1] for row in self._rows], np.uint8),
-            "score": np.array([row[2] for row in self._rows], np.uint8),
-            "ball_m": np.array([row[3] for row in self._rows], np.float32),
-            "torso_m": np.array([torso[:, :3] for torso, _ in self._poses], np.float32),
-            "quaternion": np.array([torso[:, 3:] for torso, _ in self._poses], np.float32),
+            "clock_s": clock - self._rows[0][0],
+            "mode": np.array([row[1] for row in rows], np.uint8),
+            "score": np.array([row[2] for row in rows], np.uint8),
+            "ball_m": np.array([row[3] for row in rows], np.float32),
+            "torso_m": np.array([torso[:, :3] for torso, _ in poses], np.float32),
+            "quaternion": np.array([torso[:, 3:] for torso, _ in poses], np.float32),
             "joints_rad": np.array(
-                [np.pad(each, ((0, 0), (0, widest - each.shape[1]))) for each in self._angles], np.float32
+                [np.pad(each, ((0, 0), (0, widest - each.shape[1]))) for each in angles], np.float32
             ),
-            "present": np.array([present for _, present in self._poses]),
+            "present": np.array([present for _, present in poses]),
         }
+
+    def clip(self, first: int, teams: tuple[str, str], half: int, goals: tuple[int, int]) -> str:
+        """Return the frames since ``first``, at most `CLIP_FRAMES` of them, as a log in base64; empty without any.
+
+        Its notes have the index of the first frame in the half, and the step between two.
+
+        Args:
+            first: index of a frame of the half.
+            teams: names of both teams.
+            half: number of the half, from 0.
+            goals: goals of both teams in the half before.
+        """
+        count = len(self) - first
+        if count <= 0:
+            return ""
+        step = 2
+        while step * CLIP_FRAMES < count:
+            step *= 2  # the game is faster than its clock
+        first = -(-first // step) * step
+        arrays = self.arrays(slice(first, None, step))
+        frames = len(arrays["mode"])
+        if not frames:
+            return ""
+        arrays["score"] += np.array(goals, np.uint8)
+        log = GameLog(
+            teams=teams,
+            robots=self.robots,
+            sides=[LEFT if self.left == 0 else RIGHT],
+            half=np.full(frames, half, np.uint8),
+            notes={"first": first, "step": step},
+            **arrays,
+        )
+        file = io.BytesIO()
+        log.save(file)
+        return base64.b64encode(file.getvalue()).decode()
 
 
 def joined(halves: Sequence[HalfRecorder], teams: tuple[str, str], notes: dict[str, Any]) -> GameLog:

@@ -1,7 +1,8 @@
 /** A recorded episode in three dimensions: the robot from its own shapes, on the field, frame by frame. */
 
 import * as T from "../vendor/three-0.187.0/three.min.js";
-import { color, onTheme } from "./theme.js";
+import { FieldStage, FOG, patches, sketch } from "./field3d.js";
+import { color } from "./theme.js";
 
 const NAO_M = 0.5; // from the feet to the head of the robot that the cameras are made for
 const METRES_PER_NEWTON = 0.0018;
@@ -139,37 +140,6 @@ const CAMERAS = {
     [0, 0, -0.07],
   ],
 };
-const FIELD_VIEW = [0, -0.76, 0.65]; // direction from the middle of the field to the camera that shows all of it
-const FOG = { near: [14, 46], field: [60, 130] };
-
-/** A canvas to draw a texture on. */
-function sketch(width, height, draw) {
-  const canvas = document.createElement("canvas");
-  canvas.width = width;
-  canvas.height = height;
-  draw(canvas.getContext("2d"), width, height);
-  const texture = new T.CanvasTexture(canvas);
-  texture.colorSpace = T.SRGBColorSpace;
-  texture.anisotropy = 8;
-  return texture;
-}
-
-/** Grass in shades of grey, to be tinted: two mown strips of a metre and the same grain at every visit. */
-const grass = () =>
-  sketch(512, 256, (c, w, h) => {
-    let state = 7;
-    const random = () => {
-      state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
-      return state / 2 ** 32;
-    };
-    const picture = c.createImageData(w, h);
-    for (let i = 0; i < w * h; i++) {
-      const strip = i % w < w / 2 ? 0 : 13;
-      const value = 236 - strip + (random() - 0.5) * 8;
-      picture.data.set([value, value, value, 255], 4 * i);
-    }
-    c.putImageData(picture, 0, 0);
-  });
 
 const checks = () =>
   sketch(16, 128, (c, w, h) => {
@@ -177,20 +147,6 @@ const checks = () =>
       for (let k = 0; k < 16; k++) {
         c.fillStyle = (i + k) % 2 ? "#16191d" : "#ffffff";
         c.fillRect((i * w) / 2, (k * h) / 16, w / 2, h / 16);
-      }
-  });
-
-/** A ball's surface, whose patches show how it turns. */
-const patches = () =>
-  sketch(128, 64, (c, w, h) => {
-    c.fillStyle = "#ffffff";
-    c.fillRect(0, 0, w, h);
-    c.fillStyle = "#2b3038";
-    for (let row = 0; row < 3; row++)
-      for (let k = 0; k < 4; k++) {
-        c.beginPath();
-        c.ellipse(((k + (row % 2) / 2 + 0.25) * w) / 4, ((row + 0.5) * h) / 3, w / 20, h / 12, 0, 0, 2 * Math.PI);
-        c.fill();
       }
   });
 
@@ -203,54 +159,30 @@ const lettering = (text) =>
     c.fillText(text, w / 2, h / 2 + 4);
   });
 
-export class Stage {
+export class Stage extends FieldStage {
   /**
    * @param {HTMLElement} host @param {Recording} recording @param {object} field of the robot's league
    * @param {{x_m: number, title: string}[]} lines across the field
    */
   constructor(host, recording, field, lines = []) {
-    this.host = host;
+    super(host, field, { antialias: true });
     this.recording = recording;
-    this.field = field;
     this.lines = lines;
     this.course = recording.course();
-    this.renderer = new T.WebGLRenderer({ antialias: true, powerPreference: "low-power" });
-    this.renderer.shadowMap.enabled = true;
-    this.renderer.shadowMap.type = T.PCFShadowMap;
-    this.renderer.toneMapping = T.NeutralToneMapping;
-    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
-    host.append(this.renderer.domElement);
-    this.scene = new T.Scene();
-    this.scene.fog = new T.Fog(0, ...FOG.near);
-    this.camera = new T.PerspectiveCamera(36, 1, 0.1, 160);
-    this.camera.up.set(0, 0, 1);
-    this.controls = new T.OrbitControls(this.camera, this.renderer.domElement);
-    this.controls.maxPolarAngle = Math.PI * 0.495;
-    this.controls.minDistance = 0.5;
-    this.controls.maxDistance = 70;
-    this.controls.addEventListener("change", () => this.render());
     this.following = true;
     this.showForces = true;
-    this.#sky();
-    this.#ground();
+    this.#shadows();
     this.#course();
     this.#robot();
-    this.#paint();
-    this.stopTheme = onTheme(() => {
-      this.#paint();
-      this.render();
-    });
-    this.observer = new ResizeObserver(() => this.#fit());
-    this.observer.observe(host);
     this.last = this.#anchor(0);
+    this.begin();
     this.aim("follow");
-    this.#fit();
     this.show(0);
   }
 
-  #sky() {
-    this.light = new T.HemisphereLight(0xffffff, 0xffffff, 1);
-    this.sun = new T.DirectionalLight(0xffffff, 1);
+  #shadows() {
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = T.PCFShadowMap;
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
     const wide = 0.9 * Math.max(1, this.recording.size);
@@ -258,96 +190,6 @@ export class Stage {
     this.sun.shadow.bias = -0.0004;
     this.sun.shadow.normalBias = 0.004;
     this.sun.shadow.radius = 3;
-    const geometry = new T.SphereGeometry(90, 32, 32).rotateX(Math.PI / 2);
-    geometry.setAttribute(
-      "color",
-      new T.Float32BufferAttribute(new Float32Array(geometry.attributes.position.count * 3), 3),
-    );
-    this.dome = new T.Mesh(
-      geometry,
-      new T.MeshBasicMaterial({ vertexColors: true, side: T.BackSide, fog: false, depthWrite: false }),
-    );
-    this.dome.renderOrder = -2;
-    this.scene.add(this.light, this.sun, this.sun.target, this.dome);
-  }
-
-  /** Put a flat rectangle on the ground; later layers lie over earlier ones. */
-  #strip(x, y, length, width, material, layer = 1) {
-    const mesh = new T.Mesh(new T.PlaneGeometry(length, width), material);
-    mesh.position.set(x, y, 0.0006 * layer);
-    mesh.renderOrder = layer;
-    this.scene.add(mesh);
-    return mesh;
-  }
-
-  /** A material of what is painted on the ground; without depth of its own, so that nothing flickers far away. */
-  #painted(options = {}) {
-    return new T.MeshBasicMaterial({ transparent: true, depthWrite: false, ...options });
-  }
-
-  #ground() {
-    const size = [140, 120];
-    const texture = grass();
-    texture.wrapS = texture.wrapT = T.RepeatWrapping;
-    texture.repeat.set(size[0] / 2, size[1] / 1);
-    // Drawn first and without depth: what is painted on a plane of this size would win and lose against it by rounding.
-    this.turf = new T.Mesh(
-      new T.PlaneGeometry(...size),
-      new T.MeshStandardMaterial({ roughness: 1, map: texture, depthWrite: false }),
-    );
-    this.turf.renderOrder = -1;
-    this.turf.receiveShadow = true;
-    this.scene.add(this.turf);
-    this.chalk = this.#painted();
-    this.frame = new T.MeshStandardMaterial({ roughness: 0.4 });
-    this.net = new T.LineBasicMaterial({ transparent: true, opacity: 0.4 });
-    const { line_width_m: line, circle_radius_m: radius, penalty_spot_m: spot, length_m: length } = this.field;
-    for (const [x0, y0, x1, y1] of this.field.lines)
-      this.#strip((x0 + x1) / 2, (y0 + y1) / 2, Math.abs(x1 - x0) + line, Math.abs(y1 - y0) + line, this.chalk);
-    const round = (geometry, x = 0) => {
-      const mesh = new T.Mesh(geometry, this.chalk);
-      mesh.position.set(x, 0, 0.0006);
-      this.scene.add(mesh);
-    };
-    round(new T.RingGeometry(radius - line / 2, radius + line / 2, 96));
-    if (spot) for (const side of [-1, 1]) round(new T.RingGeometry(0, line, 24), side * (length / 2 - spot));
-    this.goals = this.field.goal ? [-1, 1].map((side) => this.#goal(side)) : [];
-  }
-
-  #goal(side) {
-    const { width_m: w, height_m: h, depth_m: d, post_radius_m: r } = this.field.goal;
-    const goal = new T.Group();
-    const bar = (length, x, y, z, turn) => {
-      const mesh = new T.Mesh(new T.CylinderGeometry(r, r, length, 16), this.frame);
-      mesh.position.set(x, y, z);
-      if (turn) mesh.rotation.x = Math.PI / 2;
-      goal.add(mesh);
-    };
-    for (const y of [-1, 1]) bar(h, 0, (y * w) / 2, h / 2, true);
-    bar(w + 2 * r, 0, 0, h, false);
-    const points = [];
-    const mesh = 0.12;
-    const columns = Math.round(w / mesh);
-    const rows = Math.round(h / mesh);
-    const deep = Math.round(d / mesh);
-    const y = (i) => -w / 2 + (w * i) / columns;
-    const z = (i) => (h * i) / rows;
-    const x = (i) => (d * i) / deep;
-    for (let i = 0; i <= columns; i++) points.push(d, y(i), 0, d, y(i), h, 0, y(i), h, d, y(i), h);
-    for (let i = 0; i <= rows; i++)
-      points.push(d, -w / 2, z(i), d, w / 2, z(i), 0, -w / 2, z(i), d, -w / 2, z(i), 0, w / 2, z(i), d, w / 2, z(i));
-    for (let i = 0; i <= deep; i++)
-      points.push(x(i), -w / 2, 0, x(i), -w / 2, h, x(i), w / 2, 0, x(i), w / 2, h, x(i), -w / 2, h, x(i), w / 2, h);
-    goal.add(
-      new T.LineSegments(
-        new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)),
-        this.net,
-      ),
-    );
-    goal.position.x = (side * this.field.length_m) / 2;
-    if (side < 0) goal.rotation.z = Math.PI;
-    this.scene.add(goal);
-    return goal;
   }
 
   /** What belongs to this run: start, metres in its direction, lines, the path and the footprints. */
@@ -359,24 +201,24 @@ export class Stage {
     const [cos, sin] = [Math.cos(heading), Math.sin(heading)];
     const far = Math.max(0, ...this.lines.map((l) => (l.x_m - x0) * cos), (x1 - x0) * cos + (y1 - y0) * sin + 2);
     const across = (along, aside, ...more) => {
-      const mesh = this.#strip(x0 + along * cos - aside * sin, y0 + along * sin + aside * cos, ...more);
+      const mesh = this.strip(x0 + along * cos - aside * sin, y0 + along * sin + aside * cos, ...more);
       mesh.rotation.z = heading;
       return mesh;
     };
-    this.tick = this.#painted({ opacity: 0.28 });
+    this.tick = this.painted({ opacity: 0.28 });
     this.letters = [];
     for (let m = 1; m < far - 0.3; m++) {
       const five = m % 5 === 0;
       across(m, 0, five ? 0.035 : 0.015, five ? 3 : 1.6, this.tick, 2);
       if (!five) continue;
-      const material = this.#painted({ map: lettering(`${m} m`), opacity: 0.75 });
+      const material = this.painted({ map: lettering(`${m} m`), opacity: 0.75 });
       // On both sides of the lane, to be read from where the cameras stand.
       for (const side of [-1, 1]) across(m, side * 1.9, 1, 0.5, material, 2);
       this.letters.push(material);
     }
-    this.gate = this.#painted({ opacity: 0.9 });
+    this.gate = this.painted({ opacity: 0.9 });
     across(0, 0, 0.06, 4, this.gate, 3);
-    for (const line of this.lines) this.#strip(line.x_m, y0, 0.5, 4, this.#painted({ map: checks(), opacity: 0.9 }), 3);
+    for (const line of this.lines) this.strip(line.x_m, y0, 0.5, 4, this.painted({ map: checks(), opacity: 0.9 }), 3);
     const points = [];
     const index = [];
     for (let t = 0; t < r.frames; t++) {
@@ -391,7 +233,7 @@ export class Stage {
       points.push(x + nx, y + ny, 0, x - nx, y - ny, 0);
       if (t) index.push(2 * t - 2, 2 * t - 1, 2 * t, 2 * t, 2 * t - 1, 2 * t + 1);
     }
-    this.trail = this.#painted({ opacity: 0.85, side: T.DoubleSide });
+    this.trail = this.painted({ opacity: 0.85, side: T.DoubleSide });
     this.path = new T.Mesh(
       new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)).setIndex(index),
       this.trail,
@@ -401,7 +243,7 @@ export class Stage {
     this.path.frustumCulled = false;
     this.scene.add(this.path);
     this.prints = [];
-    this.ink = [0, 1].map(() => this.#painted({ opacity: 0.5 }));
+    this.ink = [0, 1].map(() => this.painted({ opacity: 0.5 }));
     for (const foot of [0, 1]) {
       const body = r.feet[foot];
       if (body < 0) continue;
@@ -410,7 +252,7 @@ export class Stage {
       for (const frame of r.touchdowns(foot)) {
         const { position, rotation } = r.pose(frame, body);
         const ahead = new T.Vector3(1 - r.front, r.front, 0).applyQuaternion(new T.Quaternion(...rotation));
-        const print = this.#strip(position[0], position[1], wide * 0.8, long, this.ink[foot], 2);
+        const print = this.strip(position[0], position[1], wide * 0.8, long, this.ink[foot], 2);
         print.rotation.z = Math.atan2(ahead.y, ahead.x) - Math.PI / 2;
         this.prints.push({ frame, print });
       }
@@ -502,27 +344,9 @@ export class Stage {
     disc(radius * 0.07, 0.008, this.joint, [0, 0.94, -0.34]);
   }
 
-  /** Take over the theme's colours. */
-  #paint() {
-    const dark = new T.Color(color("--surface")).getHSL({}).l < 0.5;
-    const horizon = new T.Color(dark ? "#1b242e" : "#e9f0f7");
-    const zenith = new T.Color(dark ? "#0a0e14" : "#9dc3e8");
-    const { position, color: shade } = this.dome.geometry.attributes;
-    const mixed = new T.Color();
-    for (let i = 0; i < position.count; i++) {
-      mixed.lerpColors(horizon, zenith, Math.min(1, Math.max(0, position.getZ(i) / 90) ** 0.6));
-      shade.setXYZ(i, mixed.r, mixed.g, mixed.b);
-    }
-    shade.needsUpdate = true;
-    this.scene.fog.color.copy(horizon);
-    this.turf.material.color.set(dark ? "#2f5a3c" : "#6fae6c");
-    this.light.color.set(dark ? "#c9d8ee" : "#ffffff");
-    this.light.groundColor.set(dark ? "#223127" : "#93b58c");
-    this.light.intensity = dark ? 1.1 : 1.75;
-    this.sun.intensity = dark ? 2.1 : 2.3;
-    const chalk = dark ? "#a9bdae" : "#ffffff";
-    for (const material of [this.chalk, this.tick, this.net, ...this.letters]) material.color.set(chalk);
-    this.frame.color.set(dark ? "#c6ced6" : "#ffffff");
+  paint() {
+    const dark = super.paint();
+    for (const material of [this.tick, ...this.letters]) material.color.copy(this.chalk.color);
     this.gate.color.set(color("--s5"));
     this.trail.color.set(dark ? "#dfe7ef" : "#1d2a3a");
     this.shell.color.set(dark ? "#dfe4ea" : "#f7f8fa");
@@ -532,18 +356,12 @@ export class Stage {
     [this.sides, this.ink].forEach((pair) =>
       pair.forEach((material, i) => material.color.set(color(i ? "--s2" : "--s1"))),
     );
+    return dark;
   }
 
-  #fit() {
-    const { clientWidth: w, clientHeight: h } = this.host;
-    if (!w || !h) return;
-    this.renderer.setSize(w, h);
-    this.camera.aspect = w / h;
-    // On a narrow view the robot must not fill all of it, and the field should fit.
-    this.camera.fov = this.camera.aspect < 1.2 ? 44 : 36;
-    this.camera.updateProjectionMatrix();
+  fit() {
+    super.fit();
     if (this.all) this.aim("field");
-    this.render();
   }
 
   /** Point that the camera looks at in a frame: on the robot's course, at the height of its start. */
@@ -566,14 +384,8 @@ export class Stage {
     this.all = name === "field";
     if (name === "free") return;
     [this.scene.fog.near, this.scene.fog.far] = this.all ? FOG.field : FOG.near;
-    if (this.all) {
-      const half = Math.tan((this.camera.fov * Math.PI) / 360);
-      this.controls.target.set(0, 0, 0);
-      const { length_m: length, width_m: width } = this.field;
-      this.camera.position
-        .set(...FIELD_VIEW)
-        .multiplyScalar(Math.max((0.6 * length) / (half * this.camera.aspect), (0.36 * width) / half));
-    } else {
+    if (this.all) this.lookAtField();
+    else {
       const up = new T.Vector3(0, 0, 1);
       const [from, to] = CAMERAS[name].map((offset) =>
         new T.Vector3(...offset).multiplyScalar(this.recording.size).applyAxisAngle(up, this.recording.heading),
@@ -582,17 +394,8 @@ export class Stage {
       this.camera.position.copy(this.last).add(from);
     }
     this.controls.update();
-    this.#clear();
+    this.clear(this.following);
     this.render();
-  }
-
-  /** A goal right before the camera would hide the start. */
-  #clear() {
-    for (const goal of this.goals)
-      goal.visible =
-        !this.following ||
-        Math.abs(goal.position.x - this.camera.position.x) > 1.6 ||
-        Math.abs(this.camera.position.y) > this.field.goal.width_m;
   }
 
   /** Show a moment; `frame` may lie between two recorded ones. */
@@ -640,37 +443,10 @@ export class Stage {
       this.controls.target.add(moved);
     }
     this.last = now;
-    this.#clear();
+    this.clear(this.following);
     this.dome.position.set(now.x, now.y, 0);
     this.sun.target.position.set(now.x, now.y, 0.2);
     this.sun.position.set(now.x - 1.3, now.y - 1.7, 3.6);
     this.render();
-  }
-
-  render() {
-    if (this.gone || this.pending) return;
-    this.pending = requestAnimationFrame(() => {
-      this.pending = 0;
-      if (!this.gone) {
-        this.renderer.render(this.scene, this.camera);
-        this.drawn = (this.drawn ?? 0) + 1;
-      }
-    });
-  }
-
-  destroy() {
-    this.gone = true;
-    cancelAnimationFrame(this.pending);
-    this.observer.disconnect();
-    this.stopTheme();
-    this.controls.dispose();
-    this.scene.traverse((o) => {
-      o.geometry?.dispose();
-      o.material?.map?.dispose();
-      o.material?.dispose?.();
-    });
-    this.renderer.dispose();
-    this.renderer.forceContextLoss();
-    this.renderer.domElement.remove();
   }
 }

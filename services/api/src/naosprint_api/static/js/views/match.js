@@ -141,7 +141,7 @@ export async function mount(root, { id, sub, signal }) {
     running.hidden = !match.live || Boolean(game);
     if (running.hidden) return;
     live ??= new LiveGame(running, match.teams, known.field(ROBOT));
-    live.show(match.live);
+    live.show(match.live).catch((error) => toast(`The running game cannot be shown: ${error.message}`, "error"));
   }
 
   async function draw() {
@@ -181,6 +181,7 @@ export async function mount(root, { id, sub, signal }) {
     },
     destroy() {
       clearInterval(timer);
+      live?.destroy();
       recording?.destroy();
       playing?.destroy();
     },
