@@ -63,6 +63,7 @@ def test_trainings_find_both_servers(environment: pytest.MonkeyPatch) -> None:
     assert WorkerSettings().server_environment == {  # type: ignore[call-arg]
         "NAOSPRINT_SIMSERVER": "rcssserver3d",
         "NAOSPRINT_RCSSSERVERMJ": "docker:naosprint/rcssservermj",
+        "NAOSPRINT_RELAY_IMAGE": "",
     }
 
 

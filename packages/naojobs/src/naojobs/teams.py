@@ -142,7 +142,7 @@ class TeamArchive:
         except ValueError as error:
             raise InvalidError(f"{TEAM_FILE}: {error}", "body") from None
         try:
-            _, reads = team_command(found, TEAM_FILE)
+            reads = team_command(found, TEAM_FILE).reads
         except ValueError as error:
             raise InvalidError(str(error), "body") from None
         if reads:

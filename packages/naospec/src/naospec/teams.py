@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 TEAM_FILE = "team.json"
 EXAMPLE = "example"
@@ -15,7 +16,23 @@ PLACEHOLDERS = ("python", "host", "port", "team", "number", "players")
 MAX_PLAYERS, MAX_HALF_S = 7, 300
 """Players of a team, and seconds of a half, in the league's rule book."""
 _MAX_WORDS = 100
+_IMAGE = re.compile(r"[a-zA-Z0-9][\w.:/@-]{0,254}")
 _COMMAND = '{"command": ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}"]}'
+
+
+@dataclass(frozen=True)
+class TeamCommand:
+    """What a ``team.json`` says.
+
+    Attributes:
+        command: what starts one agent, with `PLACEHOLDERS` in braces.
+        reads: folders besides the team's own that its agents read.
+        image: container image in which the command runs; without one it runs in the team's folder.
+    """
+
+    command: tuple[str, ...]
+    reads: tuple[str, ...] = ()
+    image: str | None = None
 
 
 def skills_of(text: str) -> dict[str, str]:
@@ -40,14 +57,14 @@ def example_name(skills: dict[str, str]) -> str:
     return f"{EXAMPLE}:{','.join(others)}" if others else EXAMPLE
 
 
-def team_command(found: object, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the command of a ``team.json``, and the folders besides its own that the agents read.
+def team_command(found: object, where: str) -> TeamCommand:
+    """Return what the content of a ``team.json`` says.
 
     Raises:
         ValueError: if it is malformed; the message begins with ``where`` and names what to write.
     """
-    command = found.get("command") if isinstance(found, dict) else None
-    reads = found.get("reads", []) if isinstance(found, dict) else []
+    content = found if isinstance(found, dict) else {}
+    command, reads, image = content.get("command"), content.get("reads", []), content.get("image")
     if not _are_words(command) or not command:
         raise ValueError(f"{where}: command: expected a list of texts, such as {_COMMAND}")
     if not _are_words(reads):
@@ -55,7 +72,14 @@ def team_command(found: object, where: str) -> tuple[tuple[str, ...], tuple[str,
     unknown = sorted({name for word in command for name in re.findall(r"{(\w+)}", word)} - set(PLACEHOLDERS))
     if unknown:
         raise ValueError(f"{where}: command: no placeholder {', '.join(unknown)}; use {', '.join(PLACEHOLDERS)}")
-    return tuple(command), tuple(reads)
+    if image is not None:
+        if not isinstance(image, str) or not _IMAGE.fullmatch(image):
+            raise ValueError(f"{where}: image: expected the name of a container image, such as my-team:1")
+        if reads:
+            raise ValueError(f"{where}: reads: an image has its own files; leave it out")
+        if any("{python}" in word for word in command):
+            raise ValueError(f"{where}: command: {{python}} is of this machine; name the image's own, such as python3")
+    return TeamCommand(tuple(command), tuple(reads), image)
 
 
 def no_team_file(where: object) -> str:

@@ -59,12 +59,13 @@ class Reaper:
         self._wake((each.id, each.simulator) for each in lost if each.state is WorkState.QUEUED)
 
     def _remove_servers(self) -> None:
-        """Remove the containers of servers whose training has ended."""
+        """Remove the containers of servers and agents whose training or match has ended."""
         try:
             settings = self._context.settings
-            removed = reap_servers(settings.simserver, settings.rcssservermj)
+            agents = f"docker:{settings.relay_image}" if settings.relay_image else ""
+            removed = reap_servers(settings.simserver, settings.rcssservermj, agents)
         except OSError as error:
             logger.warning("looking for servers without an owner: %s", error)
         else:
             if removed:
-                logger.warning("removed %d servers, whose training has ended", removed)
+                logger.warning("removed %d containers, whose training or match has ended", removed)

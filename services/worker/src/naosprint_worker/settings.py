@@ -13,6 +13,7 @@ from naojobs.settings import ServiceSettings
 from naosim.mujoco.program import PROGRAM_VARIABLE as RCSSSERVERMJ_VARIABLE
 from naosim.simspark.program import PROGRAM_VARIABLE as RCSSSERVER3D_VARIABLE
 from naospec import plugins
+from naosprint.matches.containers import RELAY_VARIABLE
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import NoDecode
 
@@ -150,6 +151,11 @@ class WorkerSettings(ServiceSettings):
         description="Server of T1 and K1: a program, `docker:IMAGE` or `launcher:http://HOST:PORT`; "
         "left out: the server of the installed package rcsssmj.",
     )
+    relay_image: str = Field(
+        "",
+        description="Image with Python 3 on this machine, whose containers take agents in containers to their server; "
+        "left out: no team plays from a container image.",
+    )
     worker_nice: int = Field(5, ge=0, le=19, description="Niceness of trainings, so that services stay responsive.")
 
     @field_validator("worker_queues", mode="before")
@@ -196,10 +202,11 @@ class WorkerSettings(ServiceSettings):
 
     @property
     def server_environment(self) -> dict[str, str]:
-        """Return the environment variables that name the simulators' servers."""
+        """Return the environment variables that name the simulators' servers, and what leads agents to them."""
         return {
             RCSSSERVER3D_VARIABLE: self.simserver,
             RCSSSERVERMJ_VARIABLE: self.rcssservermj,
+            RELAY_VARIABLE: self.relay_image,
         }
 
     @property

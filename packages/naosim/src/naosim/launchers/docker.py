@@ -76,10 +76,23 @@ def is_orphan(labels: Mapping[str, str]) -> bool:
 
 def container_options(program: ServerProgram, settings: ContainerSettings) -> dict[str, Any]:
     """Return the options of a server's container for the Docker SDK's `containers.run`."""
-    options: dict[str, Any] = {
+    options = {
         "image": settings.image,
         "command": program.container_command(),
         "detach": True,
+        **confined_options(settings),
+    }
+    if settings.network is not None:
+        options["network"] = settings.network
+    else:
+        ports = (program.agent_port, program.monitor_port)
+        options["ports"] = {f"{port}/tcp": ("127.0.0.1", None) for port in ports}
+    return options
+
+
+def confined_options(settings: ContainerSettings) -> dict[str, Any]:
+    """Return user, labels and limits of a container that may do nothing but run its program, for the Docker SDK."""
+    return {
         "init": True,
         "user": _USER,
         "labels": {**settings.labels, LABEL: "1"},
@@ -93,12 +106,6 @@ def container_options(program: ServerProgram, settings: ContainerSettings) -> di
         "tmpfs": {"/tmp": "size=16m,mode=1777"},  # noqa: S108 - inside the container
         "log_config": {"Type": "json-file", "Config": {"max-size": "1m", "max-file": "1"}},
     }
-    if settings.network is not None:
-        options["network"] = settings.network
-    else:
-        ports = (program.agent_port, program.monitor_port)
-        options["ports"] = {f"{port}/tcp": ("127.0.0.1", None) for port in ports}
-    return options
 
 
 class DockerLauncher:
@@ -210,11 +217,12 @@ def server_runs(api: Any, name: str) -> bool:
         return False
 
 
-def remove_server(api: Any, name: str) -> None:
-    """Stop and remove a container; errors are logged."""
+def remove_server(api: Any, name: str, *, grace_s: int = _STOP_S) -> None:
+    """Stop a container, within ``grace_s`` if that is not 0, and remove it; errors are logged."""
     try:
         with engine_errors():
-            api.stop(name, timeout=_STOP_S)
+            if grace_s:
+                api.stop(name, timeout=grace_s)
     except OSError as error:
         logger.info("container %s: %s", name, error)
     with contextlib.suppress(OSError), engine_errors():

@@ -11,19 +11,20 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from naosim.launchers import ProcessLauncher
+from naosim.launchers import LauncherUnavailableError, ProcessLauncher
 from naosim.mujoco.program import server_launcher
 from naosim.mujoco.world import RCSSSMJ_VERSION
 from naospec.teams import MAX_HALF_S, MAX_PLAYERS
 
 from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
+from naosprint.matches.containers import AgentContainer, ContainerAgents
 from naosprint.matches.log import GameLog, HalfRecorder, joined
 from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from naosim.launchers import Launcher, ServerHandle
+    from naosim.launchers import Address, Launcher, ServerHandle
 
     from naosprint.matches.teams import Team
 
@@ -48,7 +49,7 @@ class ServerFailedError(MatchError):
 
 
 class TeamFailedError(MatchError):
-    """A team of which no player entered the field."""
+    """A team of which no player entered the field, or whose containers cannot be started."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,9 @@ class _Half:
         self._launcher = _launcher(number, settings.half_s)
         self._server: ServerHandle | None = None
         self._monitor: _Monitor | None = None
-        self._agents: dict[tuple[str, int], AgentProcess] = {}
+        self._agents: dict[tuple[str, int], AgentProcess | AgentContainer] = {}
+        self._containers: ContainerAgents | None = None
+        """Where the agents of teams with an image come from."""
         self._lost: list[dict[str, Any]] = []
         self._cpu_cycles, self._cpu_at = 0, 0.0
 
@@ -191,6 +194,8 @@ class _Half:
             self._server.stop()  # first, so that no agent's end counts as a loss
         for agent in self._agents.values():
             agent.stop()
+        if self._containers is not None:
+            self._containers.close()
 
     def play(self, on_moment: Callable[[Moment], None]) -> HalfRecorder:
         """Start everything, play until the referee ends the half, and return its frames."""
@@ -222,13 +227,11 @@ class _Half:
     def _enter(self, monitor: _Monitor) -> Frame:
         """Start the agents, the left team's first; return the frame in which all that come are on the field."""
         frame = monitor.next(time.monotonic() + self._settings.start_s)
-        assert self._server is not None
+        assert self._server is not None  # `play` has started it
         for team in self._order:
             name = self._names[team]
             for number in range(1, self._settings.players + 1):
-                self._agents[name, number] = AgentProcess(
-                    self._teams[team], name, number, self._settings.players, self._server.address, self._settings.limits
-                )
+                self._agents[name, number] = self._start(team, number, self._server.address)
             last = team == self._order[1]
             deadline = time.monotonic() + self._settings.start_s
             while True:
@@ -244,6 +247,20 @@ class _Half:
                 if here and (late or not last or coming <= set(frame.bodies)):
                     break
         return frame
+
+    def _start(self, index: int, number: int, server: Address) -> AgentProcess | AgentContainer:
+        """Start an agent of a team; raise TeamFailedError if its containers cannot be started."""
+        team, name = self._teams[index], self._names[index]
+        players, limits = self._settings.players, self._settings.limits
+        if team.image is None:
+            return AgentProcess(team, name, number, players, server, limits)
+        try:
+            self._containers = self._containers or ContainerAgents(server)
+            return self._containers.start(team, name, number, players, limits)
+        except LauncherUnavailableError as error:
+            raise ServerFailedError(f"team {'AB'[index]}: {error}") from error
+        except OSError as error:
+            raise TeamFailedError(f"team {'AB'[index]}: {error}") from error
 
     def _look(self, frame: Frame) -> None:
         """Note players that are no longer on the field."""

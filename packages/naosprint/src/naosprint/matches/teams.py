@@ -32,11 +32,13 @@ class Team:
         folder: its files, the working directory of its agents.
         command: what starts one agent, with placeholders `PLACEHOLDERS` in braces.
         reads: folders besides its own that its agents may read.
+        image: container image in which the command runs; without one it runs in the folder.
     """
 
     folder: Path
     command: tuple[str, ...]
     reads: tuple[str, ...] = ()
+    image: str | None = None
 
     def agent(self, **values: object) -> list[str]:
         """Return the command of one agent."""
@@ -59,8 +61,8 @@ def read_team(folder: Path) -> Team:
         found = read_json(file, _MAX_FILE_BYTES)
     except FileNotFoundError:
         raise ValueError(no_team_file(folder)) from None
-    command, reads = team_command(found, str(file))
-    return Team(folder.resolve(), command, reads)
+    team = team_command(found, str(file))
+    return Team(folder.resolve(), team.command, team.reads, team.image)
 
 
 def find_team(text: str, scratch: Path) -> Team:
