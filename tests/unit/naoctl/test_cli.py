@@ -580,6 +580,17 @@ def test_webhooks_are_created_listed_and_deleted(server: Any, naoctl: Callable[.
     assert "naoctl webhook list" in unknown.err
 
 
+def test_an_alert_is_created_without_its_address_on_the_command_line(
+    server: Any, naoctl: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = {"id": "hook_2", "url": "mailtos://…@example.org", "events": ["job.ended"], "secret": ""}
+    server.on("POST", "/webhooks")(lambda request: request.json(made, 201))
+    monkeypatch.setattr("sys.stdin", io.StringIO("mailtos://ada:secret@example.org\n"))
+    created = naoctl("webhook", "create", "-")
+    assert server.received[-1].body == {"url": "mailtos://ada:secret@example.org"}
+    assert created.out == "hook_2\n" and "Alerts go to mailtos://…@example.org." in created.err
+
+
 def test_login_keeps_a_token_that_works(
     server: Any, naoctl: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch, home: Any
 ) -> None:

@@ -496,7 +496,7 @@ class Webhook(Base):
     events: Mapped[list[str]]
     """Types of messages that it receives."""
     secret: Mapped[str]
-    """Key of the signatures. Signing needs the key itself, so it is stored; the API shows it once."""
+    """Key of the signatures. Signing needs the key itself, so it is stored; the API shows it once. Empty for alerts."""
     disabled_at: Mapped[datetime | None]
     """When its receiver answered 410 Gone; nothing is sent to it any more."""
     failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))

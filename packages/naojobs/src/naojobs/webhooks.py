@@ -75,13 +75,19 @@ class Message:
 
 
 def create_webhook(
-    sessions: Sessions, *, owner: str, url: str, events: Iterable[MessageType], limits: Limits = NO_LIMITS
+    sessions: Sessions,
+    *,
+    owner: str,
+    url: str,
+    events: Iterable[MessageType],
+    signed: bool = True,
+    limits: Limits = NO_LIMITS,
 ) -> Webhook:
-    """Register a webhook with a new secret and return it.
+    """Register a webhook and return it, with a new secret if its messages are `signed`, or an empty one.
 
     Raises QuotaError if `owner` has as many webhooks as `limits` allow.
     """
-    secret = "whsec_" + base64.b64encode(secrets.token_bytes(32)).decode()
+    secret = "whsec_" + base64.b64encode(secrets.token_bytes(32)).decode() if signed else ""
     webhook = Webhook(
         id=new_id("hook"), owner=owner, url=url, events=sorted({str(event) for event in events}), secret=secret
     )

@@ -1,4 +1,4 @@
-"""Delivery of messages to webhooks."""
+"""Delivery of messages to webhooks: signed JSON by POST, or an alert for people."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from naojobs.webhooks import Message
 from sqlalchemy.exc import SQLAlchemyError
 from standardwebhooks import Webhook as Signer
 
-from naosprint_api import __version__
+from naosprint_api import __version__, alerts
 from naosprint_api.outbound import Network, RefusedAddressError, Sender
 
 DEADLINE_S = 10.0
@@ -40,9 +40,11 @@ class Deliverer:
     def __init__(self, sessions: Sessions, *, networks: Sequence[Network], poll_s: float) -> None:
         """Look for due messages every `poll_s` seconds; `networks` of private addresses are allowed."""
         self._sessions = sessions
+        self._networks = networks
         self._sender = Sender(networks, deadline_s=DEADLINE_S)
         self._poll_s = poll_s
         self._limiter = anyio.CapacityLimiter(THREADS)
+        self._alert_limiter = anyio.CapacityLimiter(alerts.PROCESSES)
         self._task: asyncio.Task[None] | None = None
         self._sending: dict[asyncio.Task[None], Message] = {}
 
@@ -108,7 +110,10 @@ class Deliverer:
     async def _send(self, message: Message) -> None:
         status, error = None, None
         try:
-            status = await self._post(message)
+            if alerts.is_alert(message.url):
+                error = await self._alert(message)
+            else:
+                status = await self._post(message)
         except TimeoutError:
             error = f"no answer within {DEADLINE_S:g} s"
         except RefusedAddressError as refused:
@@ -124,6 +129,10 @@ class Deliverer:
             )
         gone = status == HTTPStatus.GONE
         await self._in_thread(partial(webhooks.settle, self._sessions, message, error, gone=gone))
+
+    async def _alert(self, message: Message) -> str | None:
+        call = partial(alerts.send, message.url, message.body, self._networks)
+        return await anyio.to_thread.run_sync(call, limiter=self._alert_limiter)
 
     async def _post(self, message: Message) -> int:
         now = datetime.now(UTC)

@@ -27,9 +27,11 @@ from pydantic import (
     FiniteFloat,
     HttpUrl,
     StringConstraints,
+    ValidationError,
     model_validator,
 )
 
+from naosprint_api import alerts
 from naosprint_api.patterns import ALIAS, ID, NAME, PLAIN, REFERENCE, TAG, TEXT
 
 Tag = Annotated[str, StringConstraints(pattern=TAG)]
@@ -763,17 +765,26 @@ class TokenMade(TokenPublic):
     token: str = Field(description="The secret. It is shown only here: the service stores only its SHA-256.")
 
 
-def _without_user(url: HttpUrl) -> HttpUrl:
+def _address(text: str) -> str:
+    if alerts.is_alert(text):
+        alerts.check_address(text)
+        return text
+    try:
+        url = HttpUrl(text)
+    except ValidationError as error:
+        raise ValueError(error.errors()[0]["msg"]) from None
     if url.username or url.password:
         raise ValueError("expected an address without user and password; the signature identifies the sender")
-    return url
+    return str(url)
 
 
 class WebhookCreate(_Request):
     """Webhook to register."""
 
-    url: Annotated[HttpUrl, AfterValidator(_without_user)] = Field(
-        description="Where messages are sent by POST: http or https, without redirects."
+    url: Annotated[str, StringConstraints(min_length=1, max_length=2083), AfterValidator(_address)] = Field(
+        description="Where messages are sent: by POST to http or https, without redirects; or as text for people "
+        "through a service, at an address of apprise such as mailtos://, slack://, discord://, tgram:// or ntfys://.",
+        json_schema_extra={"format": "uri"},
     )
     events: list[MessageType] = Field(
         default_factory=lambda: list(MessageType),
@@ -788,7 +799,9 @@ class WebhookPublic(_Public):
 
     id: str
     owner: str
-    url: str
+    url: Annotated[str, AfterValidator(alerts.shown_address)] = Field(
+        description="Its address; of one that gets alerts only the service and host, since the rest is secret."
+    )
     events: list[MessageType]
     disabled_at: datetime | None = Field(
         description="When its receiver answered 410 Gone, after which nothing is sent; null if it did not."
@@ -803,7 +816,9 @@ class WebhookPage(Page[WebhookPublic]):
 class WebhookMade(WebhookPublic):
     """New webhook with its secret."""
 
-    secret: str = Field(description="Key of the Standard Webhooks signatures. It is shown only here.")
+    secret: str = Field(
+        description="Key of the Standard Webhooks signatures. It is shown only here. Empty for alerts: they have none."
+    )
 
 
 class DeliveryPublic(_Public):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated
@@ -11,12 +12,12 @@ import typer
 from rich.table import Table
 
 from naoctl.client import ApiError
-from naoctl.context import JsonFlag, context_of
+from naoctl.context import JsonFlag, context_of, stdin_is_terminal
 from naoctl.errors import CliError, ExitCode, plain
 from naoctl.render import MISSING, ago, cell
 
 app = typer.Typer(
-    help="Create, list and delete webhooks: addresses that receive messages about your jobs.",
+    help="Create, list and delete webhooks: addresses that receive messages about your jobs, by e-mail and chat, too.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -42,7 +43,14 @@ def _path_of(webhook: str) -> Iterator[str]:
 @app.command("create")
 def create_webhook(
     ctx: typer.Context,
-    url: Annotated[str, typer.Argument(metavar="URL", help="Where messages are sent by POST.")],
+    url: Annotated[
+        str,
+        typer.Argument(
+            metavar="URL",
+            help="Where messages are sent: http or https for signed JSON; mailtos://, slack://, discord://, tgram://, "
+            "ntfys:// and others of apprise for alerts; `-` reads it from standard input.",
+        ),
+    ],
     event: Annotated[
         list[str] | None,
         typer.Option(
@@ -55,17 +63,25 @@ def create_webhook(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Create a webhook. The secret of its signatures is shown once."""
+    """Create a webhook, or alerts by e-mail or chat. The secret of a webhook's signatures is shown once."""
     context = context_of(ctx)
+    if url == "-":
+        url = (
+            typer.prompt("Address", hide_input=True, err=True) if stdin_is_terminal() else sys.stdin.readline().strip()
+        )
     with context.client() as client:
         made = client.post("/webhooks", {"url": url, **({"events": event} if event else {})})
     if as_json:
         context.json(made)
         return
-    context.out.print(made["secret"], markup=False, soft_wrap=True)
+    if made["secret"]:
+        context.out.print(made["secret"], markup=False, soft_wrap=True)
+        what = f"Secret of webhook {made['id']}; it cannot be shown again."
+    else:
+        context.out.print(made["id"], markup=False)
+        what = f"Alerts go to {plain(made['url'])}."
     context.note(
-        f"Secret of webhook {made['id']}; it cannot be shown again. Messages: {', '.join(made['events'])}. "
-        f"`naoctl webhook deliveries {made['id']}` shows what was sent."
+        f"{what} Messages: {', '.join(made['events'])}. `naoctl webhook deliveries {made['id']}` shows what was sent."
     )
 
 

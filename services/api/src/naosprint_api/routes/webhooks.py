@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from typing import Annotated
 
 from fastapi import APIRouter, Path
@@ -11,9 +12,11 @@ from naojobs.errors import InvalidError, NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Webhook
 from naojobs.tokens import Principal
+from pydantic import HttpUrl
 
+from naosprint_api import alerts
 from naosprint_api.dependencies import CountedRoute, Cursor, PageLimit, ServiceDep, Submitter
-from naosprint_api.outbound import is_refused_literal
+from naosprint_api.outbound import Network, is_refused_literal
 from naosprint_api.problems import responses
 from naosprint_api.schemas import DeliveryPage, DeliveryPublic, WebhookCreate, WebhookMade, WebhookPage, WebhookPublic
 from naosprint_api.service import Service
@@ -32,20 +35,33 @@ def _visible(service: Service, principal: Principal, webhook_id: str) -> Webhook
     return webhook
 
 
+def _refusal(url: str, networks: Sequence[Network]) -> str | None:
+    """Return why nothing may be sent to an address, or none."""
+    if not alerts.is_alert(url):
+        return alerts.NOT_PUBLIC if is_refused_literal(str(HttpUrl(url).host), networks) else None
+    try:
+        alerts.check_hosts(url, networks)
+    except ValueError as error:
+        return str(error)
+    return alerts.try_address(url)
+
+
 @router.post("/webhooks", status_code=201, responses=responses(401, 403, 413, 422, 429, 503))
 def make_webhook(body: WebhookCreate, principal: Submitter, service: ServiceDep) -> WebhookMade:
-    """Register an address that receives signed messages about one's own jobs, evaluations and studies.
+    """Register an address that receives messages about one's own jobs, evaluations, matches and studies.
 
-    The secret that verifies the signatures is only in this answer.
+    An address of http or https gets signed JSON; the secret that verifies the signatures is only in this answer. Any
+    other one gets alerts, text for people; no answer shows it again.
     """
     settings = service.settings
-    if is_refused_literal(str(body.url.host), settings.api_webhook_networks):
-        message = "expected a public address; the operator can allow private ones (NAOSPRINT_API_WEBHOOK_NETWORKS)"
-        raise InvalidError(message, "url")
+    is_alert = alerts.is_alert(body.url)
+    if (refused := _refusal(body.url, settings.api_webhook_networks)) is not None:
+        raise InvalidError(refused, "url")
     webhook = webhooks.create_webhook(
         service.sessions,
         owner=principal.owner,
-        url=str(body.url),
+        url=body.url,
+        signed=not is_alert,
         events=body.events,
         limits=settings.limits,
     )
