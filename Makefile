@@ -31,7 +31,7 @@ up: $(INSTALLED)  ## start API, worker, Postgres, broker and dashboard on this m
 	$(BIN)/naoctl up
 
 test: $(INSTALLED)  ## unit and integration tests with real Postgres, broker, store and processes (under 20 minutes)
-	$(BIN)/python -m pytest -m "not e2e" -n 2 --dist loadfile
+	$(BIN)/python -m pytest -m "not e2e" -n 2 --dist loadfile --no-loadscope-reorder
 
 check: lint types test  ## everything that must pass before a change lands
 

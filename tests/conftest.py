@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import signal
 from collections.abc import Generator
@@ -39,6 +40,15 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+SECONDS: dict[str, float] = json.loads(Path(__file__).with_name("seconds.json").read_text(encoding="utf-8"))
+"""Seconds that the tests of a file take, of those that take long (`benchmarks/tests/run.py --record`)."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest: processes that share the tests out by file then end together."""
+    items.sort(key=lambda item: -SECONDS.get(item.nodeid.partition("::")[0], 0.0))  # stable: the others stay in order
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,8 @@ process that started them. Everything else, and each start whose options cannot 
 
 How a fork becomes a child of the process that asked for it: the template forks twice and the process between ends, so
 the kernel hands the program to the nearest ancestor that adopts orphans, which the asking process is while it waits.
-A worker starts trainings itself, so a worker gets a template of its own, forked before it begins.
+A worker starts trainings itself, so a worker gets a template of its own, forked before it begins. Programs with
+packages of their own on `PYTHONPATH` get a template that has loaded these, too.
 
 Trainings of workers whose environment has ENDLESS_TRAININGS are slowed to a fifth of a core after a second of processor
 time: tests of deaths and outages watch trainings that would never end, and those computed more than everything else.
@@ -102,6 +103,7 @@ class Template:
     """The asking end of a template process."""
 
     def __init__(self, control: socket.socket, environment: Mapping[str, str]) -> None:
+        self.packages = _packages(environment)
         self._control = control
         self._startup = _startup(environment)
         self._lock = threading.Lock()
@@ -122,17 +124,23 @@ class Template:
 
 
 def install(template: Template | None = None) -> None:
-    """Make `subprocess.Popen` of this process fork our programs; without a template it starts one when it needs it."""
+    """Make `subprocess.Popen` of this process fork our programs; it starts a template when it needs one.
+
+    Args:
+        template: one that runs already.
+    """
     execute: Callable[..., int] = subprocess._fork_exec  # type: ignore[attr-defined]
+    templates = {} if template is None else {template.packages: template}
     starting = threading.Lock()
 
     def fork_exec(*options: Any) -> int:
-        nonlocal template
         request, descriptors = _request(*options)
         if request is not None:
+            packages = _packages(request["environment"])
             with starting:
-                if template is None and request["module"].partition(".")[0] in HEAVY:
-                    template = _start()
+                if packages not in templates and request["module"].partition(".")[0] in HEAVY:
+                    templates[packages] = _start(packages)
+                template = templates.get(packages)
             if template is not None and template.suits(request["environment"]):
                 return template.fork(request, descriptors)
         return execute(*options)
@@ -140,9 +148,11 @@ def install(template: Template | None = None) -> None:
     subprocess._fork_exec = fork_exec  # type: ignore[attr-defined]
 
 
-def _start() -> Template:
+def _start(packages: str) -> Template:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    if packages:
+        environment["PYTHONPATH"] = packages
     with theirs:
         # Forked programs show their own environment in the place of this variable.
         process = subprocess.Popen(
@@ -158,6 +168,12 @@ def _start() -> Template:
 
     atexit.register(stop)
     return Template(ours, environment)
+
+
+def _packages(environment: Mapping[str, str]) -> str:
+    """Return the PYTHONPATH of an environment if packages are on it: plug-ins are found when modules are loaded."""
+    path = environment.get("PYTHONPATH", "")
+    return path if any(any(Path(item).glob("*.dist-info")) for item in path.split(os.pathsep) if item) else ""
 
 
 def _startup(environment: Mapping[str, str]) -> dict[str, str]:
@@ -210,8 +226,6 @@ def _request(
         variables = dict(os.environ)
     else:
         variables = dict(os.fsdecode(item).split("=", 1) for item in environment)
-    if any(any(Path(item).glob("*.dist-info")) for item in variables.get("PYTHONPATH", "").split(os.pathsep) if item):
-        return None, []  # plug-ins are found when modules are loaded
     passed = [number for number in keep if number != error_write]
     request = {
         "argv": words,
@@ -283,7 +297,8 @@ def _become(request: Mapping[str, Any], received: Sequence[int]) -> None:
     os.environ.update(environment)
     _show(request["argv"], environment)
     path = [item for item in environment.get("PYTHONPATH", "").split(os.pathsep) if item]
-    sys.path[:0] = path if request["safe"] else [request["cwd"], *path]
+    others = [item for item in sys.path if item not in path]
+    sys.path[:] = [*([] if request["safe"] else [request["cwd"]]), *path, *others]
     sys.argv[:] = [request["argv"][0], *request["arguments"]]
     sys.orig_argv[:] = request["argv"]
     for name, number, mode in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):

@@ -1,23 +1,30 @@
 """Processor time of tests with all their processes: servers, Postgres, workers, what outlives its parent.
 
     sudo .venv/bin/python benchmarks/tests/run.py tests/integration/worker    # arguments are pytest's
+    sudo .venv/bin/python benchmarks/tests/run.py --record -m "not e2e"       # which files `make test` begins with
 
 A control group of its own counts, so this needs root and Linux. Wall time says little on a busy machine.
-Prints all of it, and the slowest thirty tests.
+Prints all of it, and the slowest thirty tests. With --record, the wall time of the files that take long goes to
+tests/seconds.json; files that are not run keep their entries.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sys
-from collections.abc import Generator
+import time
+from collections import Counter
+from collections.abc import Generator, Mapping
 from pathlib import Path
 
 import pytest
 
 ROOTS = Path("/sys/fs/cgroup/cpuacct"), Path("/sys/fs/cgroup")
 SHOWN = 30
+RECORD, RECORDED_S = Path(__file__).parents[2] / "tests" / "seconds.json", 3.0
+"""File with the seconds of the files of tests that take as long or longer."""
 
 
 class Group:
@@ -50,15 +57,28 @@ class Plugin:
     def __init__(self, group: Group) -> None:
         self._group = group
         self.used_s: dict[str, float] = {}
+        self.lasted_s: Counter[str] = Counter()
+        """Wall time by file."""
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
         """Measure a test from its setup to its teardown."""
-        before = self._group.used_s()
+        before, began = self._group.used_s(), time.monotonic()
         try:
             return (yield)
         finally:
             self.used_s[item.nodeid] = self._group.used_s() - before
+            self.lasted_s[item.nodeid.partition("::")[0]] += time.monotonic() - began
+
+
+def record(lasted_s: Mapping[str, float]) -> None:
+    """Write the seconds of files that take long, the longest first."""
+    known: dict[str, float] = json.loads(RECORD.read_text(encoding="utf-8")) | {
+        file: round(seconds, 1) for file, seconds in lasted_s.items()
+    }
+    kept = {file: seconds for file, seconds in known.items() if seconds >= RECORDED_S}
+    longest = dict(sorted(kept.items(), key=lambda each: -each[1]))
+    RECORD.write_text(json.dumps(longest, indent=1) + "\n", encoding="utf-8")
 
 
 def main() -> int:
@@ -67,8 +87,10 @@ def main() -> int:
         group = Group()
     except (OSError, StopIteration) as error:
         raise SystemExit(f"no control group: {error}; run it as root on Linux") from error
-    plugin = Plugin(group)
-    code = pytest.main(["-q", "-p", "no:cacheprovider", *sys.argv[1:]], plugins=[plugin])
+    plugin, words = Plugin(group), [word for word in sys.argv[1:] if word != "--record"]
+    code = pytest.main(["-q", "-p", "no:cacheprovider", *words], plugins=[plugin])
+    if len(words) < len(sys.argv) - 1:
+        record(plugin.lasted_s)
     slowest = sorted(plugin.used_s.items(), key=lambda each: -each[1])
     print(f"{len(slowest)} tests, {sum(plugin.used_s.values()):.0f} s; with collection {group.used_s():.0f} s")
     for name, used_s in slowest[:SHOWN]:

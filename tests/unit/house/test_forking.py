@@ -107,3 +107,16 @@ def test_the_template_loads_what_a_training_in_this_process_would() -> None:
 def test_what_an_interpreter_reads_when_it_starts_is_executed(probe: Path) -> None:
     _, seen, _, _ = run(probe, "probe", env={**os.environ, "PYTHONUTF8": "0", "LC_ALL": "C"})
     assert seen["streams"][1][1] == "surrogateescape"
+
+
+def test_packages_of_ones_own_are_loaded_before_the_fork(probe: Path) -> None:
+    """They are on its path as in an executed program, and on that of no other."""
+    site = probe / "packages"
+    (site / "own-1.dist-info").mkdir(parents=True)
+    (site / "own-1.dist-info" / "METADATA").write_text("Name: own\nVersion: 1\n", encoding="utf-8")
+    forked, executed = (
+        run(probe, module, env={**os.environ, "PYTHONPATH": str(site)}) for module in ("probe", "other")
+    )
+    assert forked == executed and forked[1]["path"][1] == str(site)
+    _, without, _, _ = run(probe, "probe")
+    assert str(site) not in without["path"]
