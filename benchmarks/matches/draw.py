@@ -5,7 +5,7 @@
 
 Starts a headless Chromium on the dashboard's own module `game3d.js` and its style, and plays a game in real time: the
 log that is given, or one in which all robots run on circles. Chromium draws in software, at most 60 frames a second,
-and the dashboard lowers the number of pixels until a frame takes less than 1/33 s.
+and the dashboard lowers the number of pixels until a frame takes less than 1/31 s.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ const [field, view, done] = arguments;
   const { GameLog } = await import("/js/game-log.js");
   const log = await GameLog.read(await (await fetch("/game.npz?" + performance.now())).arrayBuffer());
   const host = document.createElement("div");
-  host.className = "stage";
+  host.className = "stage game";
   document.body.replaceChildren(host);
   window.stage?.destroy();
   window.stage = new GameStage(host, log, await figureOf(log), field);
@@ -114,7 +114,7 @@ def _cpu_s(pid: int) -> float:
 
 def main() -> int:
     """Read the options, draw, and print a line for each number of robots and camera."""
-    sys.path.insert(0, str(ROOT / "tests" / "e2e" / "dashboard"))
+    sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "e2e" / "dashboard")]
     from conftest import start_chromium
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -61,6 +61,17 @@ def test_a_match_from_the_form_to_its_film(browser: Browser, token: str, client:
     (match,) = client.get("/matches").json()["items"]
     assert match["film"] == "all"
 
+    for place, name, words in ((f"/matches/{match['id']}", "match", "Results"), ("/league", "league", "1500")):
+        browser.open(place)
+        browser.shows(words)
+        for width, height, theme in ((1440, 1400, "light"), (360, 1800, "dark")):
+            browser.size(width, height)
+            browser.theme(theme)
+            assert browser.js("return document.documentElement.scrollWidth") == width
+            browser.picture(pictures / f"{name}-{width}.png")
+        browser.size(1440, 900)
+        browser.theme("light")
+
 
 def test_the_match_that_a_worker_plays_is_shown_live(
     browser: Browser, token: str, client: httpx.Client, pictures: Path

@@ -36,9 +36,10 @@ def rows(results: dict[str, Any]) -> list[tuple[str, str, str]]:
 def sums(results: dict[str, Any]) -> list[str]:
     """Return wins and goal difference in two sentences."""
     low, high = results["win_rate_interval"]
+    count = results["games"]
     games = (
-        f"{results['games']} games: {results['wins']} won, {results['draws']} drawn, {results['losses']} lost; "
-        f"win rate {results['win_rate']:.2f} [{low:.2f}, {high:.2f}]"
+        f"{count} {'game' if count == 1 else 'games'}: {results['wins']} won, {results['draws']} drawn, "
+        f"{results['losses']} lost; win rate {results['win_rate']:.2f} [{low:.2f}, {high:.2f}]"
     )
     low, high = results["goal_difference_interval"]
     return [

@@ -5,6 +5,7 @@ import { color, onTheme } from "./theme.js";
 
 const FIELD_VIEW = [0, -0.76, 0.65]; // direction from the middle of the field to the camera that shows all of it
 const TURF_M = [140, 120];
+const COARSE_LINE_M = 0.12;
 export const FOG = { near: [14, 46], field: [60, 130] };
 
 /** A canvas to draw a texture on. */
@@ -80,7 +81,7 @@ export class FieldStage {
     this.field = field;
     this.plain = plain;
     this.renderer = new T.WebGLRenderer({ powerPreference: "low-power", ...options });
-    this.renderer.toneMapping = T.NeutralToneMapping;
+    if (!plain) this.renderer.toneMapping = T.NeutralToneMapping;
     this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
     host.append(this.renderer.domElement);
     this.scene = new T.Scene();
@@ -150,7 +151,8 @@ export class FieldStage {
     this.chalk = this.painted();
     this.posts = new T.MeshStandardMaterial({ roughness: 0.4 });
     this.net = new T.LineBasicMaterial({ transparent: true, opacity: 0.4 });
-    const { line_width_m: line, circle_radius_m: radius, penalty_spot_m: spot, length_m: length } = this.field;
+    const { line_width_m: width, circle_radius_m: radius, penalty_spot_m: spot, length_m: length } = this.field;
+    const line = this.plain ? Math.max(width, COARSE_LINE_M) : width; // thinner ones would fall between coarse pixels
     for (const [x0, y0, x1, y1] of this.field.lines)
       this.strip((x0 + x1) / 2, (y0 + y1) / 2, Math.abs(x1 - x0) + line, Math.abs(y1 - y0) + line, this.chalk);
     const round = (geometry, x = 0) => {

@@ -9,7 +9,7 @@ const MODELS = new Map([
   [22, "k1"],
 ]); // robots by their number of joints
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
-const SLOW_S = 1 / 33; // a frame that takes longer makes the picture coarser
+const SLOW_S = 1 / 31; // a frame that takes longer makes the picture coarser
 const COARSEST = 0.5; // pixels of the picture to those of the page
 const SHADOW = 0.004; // height above the ground, over all that is painted there
 const BALL_SWAY_S = 0.6; // half the time over which the cameras' way is averaged
@@ -39,11 +39,10 @@ function shadowOf(sun) {
   return new T.Matrix4().set(1, 0, -x / z, 0, 0, 1, -y / z, 0, 0, 0, 0, SHADOW, 0, 0, 0, 1);
 }
 
-/** Surface of a shape; the number of triangles grows with `detail`, from 0. */
+/** Surface of a shape; the number of triangles grows with `detail`. */
 function solid({ kind, size_m: [a, b, c] }, detail) {
   const around = 6 + 3 * detail;
-  if (kind === "box" && detail) return new T.RoundedBoxGeometry(a, b, c, detail, Math.min(a, b, c) * 0.3);
-  if (kind === "box") return new T.RoundedBoxGeometry(1, 1, 1, 0).scale(a, b, c);
+  if (kind === "box") return new T.RoundedBoxGeometry(a, b, c, detail, Math.min(a, b, c) * 0.3);
   if (kind === "capsule") return new T.CapsuleGeometry(a, b, 1 + detail, around).rotateX(Math.PI / 2);
   if (kind === "cylinder") return new T.CylinderGeometry(a, a, b, around).rotateX(Math.PI / 2);
   return new T.SphereGeometry(a, around + 2, around);
@@ -51,8 +50,11 @@ function solid({ kind, size_m: [a, b, c] }, detail) {
 
 /** All robots of a game, which have the same shapes: each shape is drawn once for all of them. */
 class Figures {
-  /** @param {object} figure joints and shapes of a robot @param {number} count of robots @param {boolean} fine */
-  constructor(figure, count, fine) {
+  /**
+   * @param {object} figure joints and shapes of a robot @param {number} count of robots
+   * @param {T.Matrix4} projection from a shape to its shadow @param {boolean} fine with all details
+   */
+  constructor(figure, count, projection, fine) {
     this.figure = figure;
     this.group = new T.Group();
     this.shade = new T.MeshBasicMaterial({
@@ -74,13 +76,10 @@ class Figures {
     this.torso = new T.Matrix4();
     this.parts = figure.shapes.map((shape) => {
       const mesh = new T.InstancedMesh(solid(shape, fine ? 3 : 1), this.skin, count);
-      const shadow = new T.InstancedMesh(fine ? mesh.geometry : solid(shape, 0), this.shade, count);
       mesh.instanceMatrix.setUsage(T.DynamicDrawUsage);
-      shadow.instanceMatrix = mesh.instanceMatrix;
-      shadow.matrixAutoUpdate = false;
-      shadow.renderOrder = 4;
-      mesh.frustumCulled = shadow.frustumCulled = false;
-      this.group.add(mesh, shadow);
+      mesh.frustumCulled = false;
+      this.group.add(mesh);
+      if (fine) this.#cast(mesh, projection);
       const [x, y, z] = shape.at;
       const [w, a, b, c] = shape.turn;
       const local = new T.Matrix4().compose(
@@ -88,8 +87,25 @@ class Figures {
         new T.Quaternion(a, b, c, w),
         new T.Vector3(1, 1, 1),
       );
-      return { mesh, shadow, local, shape };
+      return { mesh, local, shape };
     });
+    // one disc below each robot where the shadows of all its shapes would take too long
+    this.discs = fine ? null : new T.InstancedMesh(new T.RingGeometry(0, 0.28, 12), this.shade, count);
+    if (fine) return;
+    this.discs.frustumCulled = false;
+    this.discs.renderOrder = 4;
+    this.group.add(this.discs);
+  }
+
+  /** Draw the shadows of a shape of all robots. */
+  #cast(mesh, projection) {
+    const shadow = new T.InstancedMesh(mesh.geometry, this.shade, mesh.count);
+    shadow.instanceMatrix = mesh.instanceMatrix;
+    shadow.matrixAutoUpdate = false;
+    shadow.matrix.copy(projection);
+    shadow.renderOrder = 4;
+    shadow.frustumCulled = false;
+    this.group.add(shadow);
   }
 
   /** Take over the colours: `paint(team, shape)` of each robot's shapes. */
@@ -115,18 +131,16 @@ class Figures {
       this.turned.multiplyMatrices(shape.joint < 0 ? this.torso : this.frames[shape.joint], local);
       mesh.setMatrixAt(robot, this.turned);
     }
+    this.discs?.setMatrixAt(robot, this.turned.makeTranslation(position.x + 0.1, position.y + 0.14, SHADOW));
   }
 
   hide(robot) {
-    for (const { mesh } of this.parts) mesh.setMatrixAt(robot, this.turned.makeScale(0, 0, 0));
+    for (const mesh of this.group.children) mesh.setMatrixAt(robot, this.turned.makeScale(0, 0, 0));
   }
 
-  /** Draw what was placed, with shadows by a projection. */
-  update(projection) {
-    for (const { mesh, shadow } of this.parts) {
-      mesh.instanceMatrix.needsUpdate = true;
-      shadow.matrix.copy(projection);
-    }
+  /** Draw what was placed. */
+  update() {
+    for (const mesh of this.group.children) mesh.instanceMatrix.needsUpdate = true;
   }
 }
 
@@ -162,7 +176,7 @@ export class GameStage extends FieldStage {
     this.log = log;
     this.sun.position.set(-1.3, -1.7, 3.6);
     this.projection = shadowOf(this.sun.position);
-    this.figures = new Figures(figure, log.robots.length, !coarse);
+    this.figures = new Figures(figure, log.robots.length, this.projection, !coarse);
     this.scene.add(this.figures.group);
     this.#ball();
     this.plates = log.robots.map(([, number]) => {
@@ -302,7 +316,7 @@ export class GameStage extends FieldStage {
       figures.place(robot, position, from);
       this.#label(this.plates[robot], position);
     });
-    figures.update(this.projection);
+    figures.update();
     this.#roll(frame);
     this.dome.position.set(this.camera.position.x, this.camera.position.y, 0);
     this.clear(this.view !== "field" && this.view !== "above");

@@ -29,7 +29,11 @@ function results(match) {
   return card(
     "Results, means of a game",
     scroller("Results", table(headings, rows)),
-    match.sums.map((text) => h("p", { class: "pad soft" }, text)),
+    h(
+      "div",
+      { class: "pad soft" },
+      match.sums.map((text) => h("p", null, text)),
+    ),
   );
 }
 
