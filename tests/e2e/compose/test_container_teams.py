@@ -121,6 +121,7 @@ def test_an_agent_reaches_its_server_alone_and_has_limits(build: Builder, engine
     assert "out of memory" in words
     assert not agent.alive()
     assert containers(engine) == before
+    assert not agents._folder.exists()
 
 
 def test_a_missing_image_is_named(build: Builder, tmp_path: Path) -> None:

@@ -75,12 +75,11 @@ class ContainerAgents:
         remove_orphans(self.api)
         self._folder = Path(tempfile.mkdtemp(prefix="naosprint-relay-"))
         self._folder.chmod(0o711)  # the relays' user opens what it has the name of
-        home = tempfile.mkdtemp(prefix="naosprint-relay-home-")
         target = f"tcp:{server.host}:{server.agent_port}"
         isolated = (sys.executable, "-I", "-S")
         command = (*isolated, relay.__file__, f"unix:{self._folder / _SOCKET}", target)
         self._process = subprocess.Popen(
-            [*isolated, str(_GUARD), home, str(int(signal.SIGTERM)), *command],
+            [*isolated, str(_GUARD), str(self._folder), str(int(signal.SIGTERM)), *command],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,
