@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import gzip
 import hashlib
 import io
@@ -166,12 +167,21 @@ def test_a_match_survives_its_worker_and_keeps_the_games_that_are_over(
     assert sum(team["wins"] + team["draws"] + team["losses"] for team in table) == 4
 
     again = client.post("/matches", json={**body, "games": 3}).raise_for_status().json()
-    running = until(client, again["id"], lambda match: match["live"])
+    running = until(client, again["id"], lambda match: match["live"] and match["live"]["clip"])
     assert {(team, number) for team, number, *_ in running["live"]["players"]} == {(0, 1), (1, 1)}
+    (tmp_path / "clip.npz").write_bytes(base64.b64decode(running["live"]["clip"]))
+    clip = GameLog.load(tmp_path / "clip.npz")
+    assert (clip.teams, clip.robots, clip.joints_rad.shape[1:]) == (tuple(teams), [(0, 1), (1, 1)], (2, 23))
     client.post(f"/matches/{again['id']}/cancel").raise_for_status()
     assert until(client, again["id"], lambda match: match["state"] == "cancelled")["live"] is None
     assert client.delete(f"/matches/{again['id']}").status_code == 204
     assert client.get(f"/matches/{again['id']}").status_code == 404
+
+    boxed = packed({"team.json": json.dumps({"image": "boxed:1", "command": ["play", "{port}"]})})
+    assert upload(admin, "boxed", boxed, owner="alice").status_code == 201
+    refused = submit(client, "boxed", "standing")
+    words = until(client, refused, lambda match: match["state"] == "failed")["error"]
+    assert words.startswith("team A: NAOSPRINT_RELAY_IMAGE: not set"), words
 
 
 CAPABLE = Capabilities({"match": 1, CONFINED_MATCH_TASK: 1}, ["t1"], ["match"], [])
@@ -265,6 +275,11 @@ def link(name: str) -> tarfile.TarInfo:
         (packed({"team.json": "{"}), "team.json"),
         (packed({"team.json": '{"command": "x"}'}), "command: expected a list of texts"),
         (packed({"team.json": json.dumps({**COMMAND, "reads": ["/"]})}), "put what agents need into the folder"),
+        (packed({"team.json": json.dumps({**COMMAND, "image": "a:1"})}), "command: {python} is of this machine"),
+        (
+            packed({"team.json": json.dumps({"command": ["a"], "image": "-v"})}),
+            "image: expected the name of a container",
+        ),
         (packed({"team.json": json.dumps(COMMAND)}, link("a")), "pack only files and folders"),
         (packed({"team.json": json.dumps(COMMAND), "../x": ""}), "pack only files and folders"),
         (gzip.compress(bytes(65 << 20)), "at most 64 MiB"),
