@@ -67,7 +67,7 @@ class WandbMirror:
         run = self._runs.get(job_id) or self._init(job_id)
         metadata = {key: card[key] for key in ("reference", "checkpoint_id", "spec_sha256", "robot", "task", "steps")}
         artifact = wandb.Artifact(name, type="model", description=card["notes"] or None, metadata=metadata)
-        artifact.add_dir(str(folder))
+        _add_files(artifact, folder)
         run.log_artifact(artifact, aliases=[f"version-{card['version']}", *card["aliases"]])
         if job_id not in self._runs:
             run.finish()
@@ -103,6 +103,11 @@ class WandbMirror:
         return known
 
 
+def _add_files(artifact: Any, folder: Path) -> None:
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):  # `add_dir` prints a line
+        artifact.add_file(str(path), name=path.relative_to(folder).as_posix())
+
+
 class _WandbCopy:
     def __init__(self, runs: dict[str, Any], job_id: str, note: Path) -> None:
         self._runs, self._id = runs, job_id
@@ -122,7 +127,7 @@ class _WandbCopy:
         is_evaluation = folder.name == EVALUATION
         name = f"{self._id}-{EVALUATION if is_evaluation else 'policy'}"
         artifact = wandb.Artifact(name, type="evaluation" if is_evaluation else "model")
-        artifact.add_dir(str(folder))
+        _add_files(artifact, folder)
         self._run.log_artifact(artifact, aliases=["latest", folder.name])
         shown: dict[str, Any] = {}
         if (folder / REPORT).exists():
