@@ -336,7 +336,9 @@ def test_full_disk_under_a_worker_ends_the_attempt_but_not_the_job(small_work: S
     small_work.free()
     job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert (job.attempt, job.error) == (2, None)
-    assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == known
+    # A whole checkpoint that was still to be stored when the attempt ended lies on the disk, and is newer.
+    resumed = next(event for event in service.events(job_id) if event.kind == "resumed").data["step"]
+    assert resumed >= known and resumed % (ROLLOUT * 20) == 0
     assert_whole(service, job_id, steps)
 
 
