@@ -14,7 +14,6 @@ import argparse
 import sys
 import tempfile
 import threading
-import time
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -163,7 +162,6 @@ def main() -> int:
                     )
                     sys.stdout.flush()
                     if options.pictures:
-                        time.sleep(2.0)  # until it is drawn with all its pixels
                         options.pictures.mkdir(parents=True, exist_ok=True)
                         (options.pictures / f"game-{count}-{view}.png").write_bytes(driver.get_screenshot_as_png())
         finally:

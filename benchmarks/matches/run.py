@@ -73,7 +73,11 @@ def main() -> int:
 
             def note(moment: Moment, samples: list[Sample] = samples) -> None:
                 # the first half from the kick-off on; a sample reads the state of all processes, which takes a while
-                if 0.0 < moment.share <= 0.5 and (not samples or time.monotonic() - samples[-1].time_s > 3.0):
+                if (
+                    moment.half == 0
+                    and moment.share > 0.0
+                    and (not samples or time.monotonic() - samples[-1].time_s > 3.0)
+                ):
                     samples.append(Sample.now(2.0 * options.seconds * moment.share))
 
             play_game((team, team), ("a", "b"), 0, GameSettings(players, options.seconds), on_moment=note)

@@ -144,7 +144,7 @@ def _first_second(number: int, half_s: float) -> float:
     return MAX_HALF_S * (number + 1) - half_s
 
 
-def _launcher(number: int, half_s: float) -> Launcher:
+def half_launcher(number: int, half_s: float) -> Launcher:
     """Return the launcher of a server that plays the last ``half_s`` seconds of a half and then ends the game."""
     launcher = server_launcher()
     if not isinstance(launcher, ProcessLauncher):
@@ -175,9 +175,9 @@ class _Half:
         self._shown = [0, 0]
         """Numbers of the frames that there were at the last two moments."""
         self._names = tuple("left" if team == left else "right" for team in range(2))
-        self._launcher = _launcher(number, settings.half_s)
+        self._launcher = half_launcher(number, settings.half_s)
         self._server: ServerHandle | None = None
-        self._monitor: _Monitor | None = None
+        self._monitor: GameMonitor | None = None
         self._agents: dict[tuple[str, int], AgentProcess | AgentContainer] = {}
         self._containers: ContainerAgents | None = None
         """Where the agents of teams with an image come from."""
@@ -201,7 +201,7 @@ class _Half:
         """Start everything, play until the referee ends the half, and return its frames."""
         settings = self._settings
         self._server = self._launcher.start()
-        self._monitor = monitor = _Monitor(self._server, time.monotonic() + settings.start_s)
+        self._monitor = monitor = GameMonitor(self._server, time.monotonic() + settings.start_s)
         first = self._enter(monitor)
         roster = [(team, number) for team in range(2) for number in range(1, settings.players + 1)]
         recorder = HalfRecorder(roster, [(self._names[team], number) for team, number in roster], self._left)
@@ -224,7 +224,7 @@ class _Half:
         self._look(frame)
         return recorder
 
-    def _enter(self, monitor: _Monitor) -> Frame:
+    def _enter(self, monitor: GameMonitor) -> Frame:
         """Start the agents, the left team's first; return the frame in which all that come are on the field."""
         frame = monitor.next(time.monotonic() + self._settings.start_s)
         assert self._server is not None  # `play` has started it
@@ -321,7 +321,7 @@ class _Half:
         }
 
 
-class _Monitor:
+class GameMonitor:
     """Connection to the monitor port of a server that has run its first cycle."""
 
     def __init__(self, server: ServerHandle, deadline: float) -> None:

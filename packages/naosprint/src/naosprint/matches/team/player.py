@@ -20,7 +20,9 @@ import numpy as np
 from runner import Runner, wrapped
 
 CYCLE_S = 0.02
-GOAL = np.array([27.5, 0.0])  # the opponents'; ours is at -GOAL
+GOAL, POST = np.array([27.5, 0.0]), np.array([0.0, 1.83])  # the opponents'; ours is at -GOAL
+NARROW, BEFORE_GOAL = np.radians(17), np.array([24.0, 0.0])  # a goal that looks narrower is missed: to this place
+PASS_M, ROLL_M = 8.5, 3.0  # below this kicks are soft and go straighter; how much farther than the goal they go
 CIRCLE_M = 5.5  # nearer than this to the ball, the referee takes opponents of a free kick off the field
 HOMES = {
     1: (-25.0, 0.0),
@@ -34,7 +36,8 @@ HOMES = {
 LYING_M, UPRIGHT = 0.45, 0.6  # height of the torso, upward part of its z axis
 KICK_AHEAD_M, KICK_ASIDE_M, KICK_AIM = (0.38, 0.85), 0.2, np.radians(25)
 KICK_CYCLES, STAND_CYCLES, SEARCH_S = 130, 15, 1.0
-BEHIND_M = 0.75  # where the striker goes before it turns to the ball
+BEHIND_M = 0.75  # how far behind the ball the striker turns to it
+AROUND, AROUND_STEP = 0.35, 0.9  # this far from right behind it, the striker walks around it, by so much at a time
 LOOK_DOWN, LOOK_AHEAD = 0.6, 0.25  # pitch of the head
 TOUCHED = 200.0  # cost of touching the ball twice
 SAY_CYCLES, SAYS = 20, struct.Struct("<Bhhhhb")  # who, own place and that of the ball in cm, age of the latter in 0.1 s
@@ -162,6 +165,7 @@ class Player:
         self.active, self.command, self.since, self.stood = self.walk, np.zeros(3), 0, 0
         self.rest, self.mode, self.taker, self.taken_at = 0, "", None, -1e9
         self.settling, self.cycles = 0, 2 * number
+        self.searched, self.turn = -1, 1.0
 
     # --- what to do -----------------------------------------------------------------------------------------------
 
@@ -268,8 +272,16 @@ class Player:
     # --- roles ----------------------------------------------------------------------------------------------------
 
     def aim(self):
-        """Return the direction in which the ball should go: at the goal, into its middle from afar."""
-        return angle_of(GOAL + np.array([0.5, 0.0]) - self.world.ball)
+        """Return the direction in which the ball should go."""
+        return angle_of(self.shot())
+
+    def shot(self):
+        """Return the way that the ball should go: through the middle of the goal, or before it."""
+        ball = np.minimum(self.world.ball, GOAL[0] - 0.2)
+        right, left = angle_of(GOAL - POST - ball), angle_of(GOAL + POST - ball)
+        if left - right < NARROW and ball[0] > 20.0:
+            return BEFORE_GOAL - ball
+        return (np.hypot(*(GOAL - ball)) + ROLL_M) * turned((left + right) / 2)
 
     def strike(self):
         """Walk behind the ball and kick it."""
@@ -281,17 +293,17 @@ class Player:
         fresh = world.now - world.ball_at < 0.1 and np.hypot(*world.velocity) < 1.5
         ready = KICK_AHEAD_M[0] < ahead < KICK_AHEAD_M[1] and abs(aside) < KICK_ASIDE_M and abs(off) < KICK_AIM
         if ready and fresh and np.hypot(*self.command[:2]) < 1.2:
-            self.change(self.kick, after=self.walk, target=(aim, np.inf))
+            far = np.hypot(*self.shot())  # a strong kick has no limit
+            self.change(self.kick, after=self.walk, target=(aim, far if far < PASS_M else np.inf))
             return
-        behind, across = self.along(aim, -way)  # where the robot is, seen from the ball in the direction of the aim
-        if behind > -0.35:  # beside the ball or before it: around it
-            side = np.sign(across) or 1.0
-            target = ball + 0.9 * (side * turned(aim + np.pi / 2) - 0.7 * turned(aim))
-            self.go(target, aim if np.hypot(*(target - world.position[:2])) < 1.0 else None)
-        elif abs(across) > 0.25 or np.hypot(*way) > 1.2:
-            self.go(ball - BEHIND_M * turned(aim), aim)
-        else:
+        # where the robot is around the ball: 0 behind it, seen in the direction of the aim
+        around = wrapped(angle_of(-way) - aim - np.pi)
+        if abs(around) < AROUND and abs(off) < KICK_AIM and KICK_AHEAD_M[0] < ahead < 1.2:
             self.go(ball - 0.45 * turned(aim), aim, slowest=0.35)
+        else:  # around the ball by a part of the way at a time
+            rest = np.sign(around) * max(0.0, abs(around) - AROUND_STEP)
+            target = ball - BEHIND_M * turned(aim + rest)
+            self.go(target, aim if np.hypot(*(target - world.position[:2])) < 1.0 else None)
 
     def support(self):
         """Stay behind the ball, ready to be the next striker."""
@@ -321,13 +333,16 @@ class Player:
         self.go(np.clip(target, (-26.0, -17.0), (26.0, 17.0)), angle_of(world.ball - world.position[:2]), near=0.6)
 
     def search(self):
-        """Turn on the spot until the ball is in view."""
-        bearing = wrapped(angle_of(self.world.ball - self.world.position[:2]) - self.world.yaw)
-        self.command = np.array([0.0, 0.0, 1.0 if bearing >= 0 else -1.0])
+        """Turn on the spot until the ball is in view: first to where it was, and on in the same direction."""
+        if self.cycles > self.searched + 1:
+            bearing = wrapped(angle_of(self.world.ball - self.world.position[:2]) - self.world.yaw)
+            self.turn = 1.0 if bearing >= 0 else -1.0
+        self.searched = self.cycles
+        self.command = np.array([0.0, 0.0, self.turn])
 
     # --- walking --------------------------------------------------------------------------------------------------
 
-    def go(self, target, heading=None, near=0.12, slowest=0.0):
+    def go(self, target, heading=None, near=0.12, slowest=-0.4):
         """Walk to a point: turned ahead from afar, and near it in any direction with the given heading."""
         world = self.world
         way = self.around(target - world.position[:2])

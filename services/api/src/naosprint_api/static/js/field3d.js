@@ -5,7 +5,7 @@ import { color, onTheme } from "./theme.js";
 
 const FIELD_VIEW = [0, -0.76, 0.65]; // direction from the middle of the field to the camera that shows all of it
 const TURF_M = [140, 120];
-const COARSE_LINE_M = 0.18;
+const COARSE_LINE_M = 0.12;
 export const FOG = { near: [14, 46], field: [60, 130] };
 
 /** A canvas to draw a texture on. */
@@ -246,7 +246,7 @@ export class FieldStage {
     this.controls.target.set(0, 0, 0);
     this.camera.position
       .set(...FIELD_VIEW)
-      .multiplyScalar(Math.max((0.6 * length) / (half * this.camera.aspect), (0.47 * width) / half));
+      .multiplyScalar(Math.max((0.6 * length) / (half * this.camera.aspect), (0.36 * width) / half));
   }
 
   /** A goal right before the camera would hide what is looked at. */

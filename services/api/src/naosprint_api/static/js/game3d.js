@@ -10,7 +10,6 @@ const MODELS = new Map([
 ]); // robots by their number of joints
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 const SLOW_S = 1 / 31; // a frame that takes longer makes the picture coarser
-const STILL_MS = 600; // after the last change, what is shown gets all its pixels
 const COARSEST = 0.5; // pixels of the picture to those of the page
 const SHADOW = 0.004; // height above the ground, over all that is painted there
 const BALL_SWAY_S = 0.6; // half the time over which the cameras' way is averaged
@@ -173,7 +172,7 @@ export class GameStage extends FieldStage {
     const coarse = isSoftware();
     super(host, field, { antialias: !coarse, stencil: true }, coarse);
     if (coarse) this.renderer.setPixelRatio(1);
-    this.ratio = this.finest = this.renderer.getPixelRatio();
+    this.ratio = this.renderer.getPixelRatio();
     this.log = log;
     this.sun.position.set(-1.3, -1.7, 3.6);
     this.projection = shadowOf(this.sun.position);
@@ -321,12 +320,6 @@ export class GameStage extends FieldStage {
     this.#roll(frame);
     this.dome.position.set(this.camera.position.x, this.camera.position.y, 0);
     this.clear(this.view !== "field" && this.view !== "above");
-    clearTimeout(this.stopping);
-    this.still = false;
-    this.stopping = setTimeout(() => {
-      this.still = true;
-      this.render();
-    }, STILL_MS);
     this.render();
   }
 
@@ -363,8 +356,6 @@ export class GameStage extends FieldStage {
       this.pending = 0;
       if (this.gone) return;
       this.#pace(now);
-      const ratio = this.still ? this.finest : this.ratio;
-      if (this.renderer.getPixelRatio() !== ratio) this.renderer.setPixelRatio(ratio);
       this.renderer.render(this.scene, this.camera);
       this.drawn = (this.drawn ?? 0) + 1;
     });
@@ -374,7 +365,7 @@ export class GameStage extends FieldStage {
   #pace(now) {
     const passed = (now - (this.before ?? now)) / 1000;
     this.before = now;
-    if (this.still || passed <= 0 || passed > 0.5) return;
+    if (passed <= 0 || passed > 0.5) return;
     this.taken = (this.taken ?? 0) + passed;
     this.counted = (this.counted ?? 0) + 1;
     if (this.counted < 20) return;
@@ -382,10 +373,6 @@ export class GameStage extends FieldStage {
     this.taken = this.counted = 0;
     if (mean < SLOW_S || this.ratio <= COARSEST) return;
     this.ratio = Math.max(COARSEST, 0.8 * this.ratio);
-  }
-
-  destroy() {
-    clearTimeout(this.stopping);
-    super.destroy();
+    this.renderer.setPixelRatio(this.ratio);
   }
 }
