@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from naosim.launchers import PortLease
+import atexit
 
-_LEASES: list[PortLease] = []
+from naosim.launchers import PortLease
 
 
 def reserved_port() -> int:
     """Return a free port that no test of any process on this machine is given besides."""
-    _LEASES.append(PortLease(1))
-    return _LEASES[-1].ports[0]
+    lease = PortLease(1)
+    atexit.register(lease.release)
+    return lease.ports[0]
