@@ -67,5 +67,5 @@ def test_what_a_training_uses_and_runs_with_is_recorded(service: Service, worker
     requests.delete(service.sessions, job_id)
     (used,) = usage.usage_by_owner(service.sessions)
     assert used.owner == "tester"
-    assert 0.0 < used.cpu_s < 60.0  # as of the last look at it; a forked training has used little by then
+    assert used.cpu_s > 0.1
     assert used.run_s > 0.1

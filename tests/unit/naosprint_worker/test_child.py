@@ -109,7 +109,17 @@ def test_stopping_a_child_that_is_gone_is_harmless(tmp_path: Path) -> None:
     assert child.wait(20) == 0
     child.terminate()
     child.kill()
-    assert child.usage() == (0, 0.0)
+    assert child.usage()[0] == 0
+
+
+def test_what_a_child_used_is_known_after_its_end(tmp_path: Path) -> None:
+    """With what the processes used that it waited for."""
+    burn = "import time\nwhile time.process_time() < 0.4: pass"
+    child = start(tmp_path, f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {burn!r}])\n{burn}")
+    assert child.wait(60) == 0
+    held, used_s = child.usage()
+    assert held == 0
+    assert 0.75 < used_s < 20.0
 
 
 PARENT = """

@@ -48,6 +48,7 @@ class TrainingProcess:
         self.pid = self._process.pid
         self._lock = threading.Lock()
         self._gone = False
+        self._used_s = 0.0
         self._exited = threading.Event()
         self._on_exit = on_exit
         self._waiter = threading.Thread(target=self._wait, name=f"child-{self.pid}", daemon=True)
@@ -89,9 +90,11 @@ class TrainingProcess:
     def usage(self) -> tuple[int, float]:
         """Return the resident bytes of the leader and all its descendants, and the seconds of processors they used.
 
-        Both are 0 when they are gone.
+        When they are gone the former is 0, and the latter that of the leader and of the processes that it waited for.
         """
         resident, cpu_s = 0, 0.0
+        if not self.runs():
+            return resident, self._used_s
         with contextlib.suppress(psutil.Error):
             leader = psutil.Process(self.pid)
             ended = leader.cpu_times()
@@ -111,6 +114,8 @@ class TrainingProcess:
         # WNOWAIT leaves the leader a zombie: its pid, and so the group's number, stays taken until it is reaped below.
         with contextlib.suppress(ChildProcessError):
             os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+        with contextlib.suppress(psutil.Error):
+            self._used_s = sum(psutil.Process(self.pid).cpu_times()[:4])  # its own, and of those that it waited for
         with self._lock:
             self._kill_group()
             self._process.wait()

@@ -146,6 +146,7 @@ class TrainingSupervisor:
             child.kill()
             raise
         returncode = child.wait()
+        self._weigh(child)  # once more, since the last look may be long ago for a short run
         assert returncode is not None
         outcome = Outcome.read(self._workdir)
         stopped = outcome is not None and outcome.code is TrainerExitCode.STOPPED
@@ -238,13 +239,18 @@ class TrainingSupervisor:
             self._kill_at = time.monotonic() + self._grace_s
             child.terminate()
 
+    def _weigh(self, child: TrainingProcess) -> int:
+        """Note what the child has used so far, and return the bytes that it holds."""
+        held, cpu_s = child.usage()
+        self._used_s = (max(cpu_s, self._used_s[0]), self._used_s[1])  # a server that has ended counts no more
+        return held
+
     def _check_memory(self, child: TrainingProcess) -> None:
         now = time.monotonic()
         if now - self._weighed_at < MEMORY_PERIOD_S:
             return
         self._weighed_at = now
-        held, cpu_s = child.usage()
-        self._used_s = (max(cpu_s, self._used_s[0]), self._used_s[1])  # a server that has ended counts no more
+        held = self._weigh(child)
         self._peak_bytes = max(self._peak_bytes, held)
         limit = self._settings.worker_memory_mb
         if limit is not None and held > limit * MIB and self._intent < Intent.MEMORY:
