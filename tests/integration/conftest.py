@@ -16,7 +16,7 @@ import threading
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -135,10 +135,13 @@ class S3Server:
         folder = self._folder / "bucket" / "some" / "prefix"
         return sorted(str(path.relative_to(folder)) for path in (folder / prefix).rglob("*") if path.is_file())
 
-    def until_gone(self, prefix: str, timeout_s: float = 30.0) -> None:
-        """Wait until no file is left below a prefix: the server answers a deletion shortly before its disk shows it."""
+    def until_gone(self, prefix: str, before: Collection[str] = (), timeout_s: float = 30.0) -> None:
+        """Wait until no file is left below a prefix but those ``before``.
+
+        The server answers a deletion shortly before its disk shows it.
+        """
         end = time.monotonic() + timeout_s
-        while left := self.stored(prefix):
+        while left := set(self.stored(prefix)).difference(before):
             assert time.monotonic() < end, left
             time.sleep(0.05)
 

@@ -380,9 +380,10 @@ class ArtifactStore:
         key = f"{PROBES}/{secrets.token_hex(16)}"
         content = secrets.token_bytes(16)
         self.put_bytes(key, content)
-        if self.get_bytes(key) != content:
-            raise StoreError(f"{PROBES}: what was read is not what was written")
+        read = self.get_bytes(key)
         self.delete_file(key)
+        if read != content:
+            raise StoreError(f"{PROBES}: what was read is not what was written")
 
     def _settle(self, key: str) -> None:
         """Force a local file and its folder to the disk: a power cut must not lose a recorded checkpoint."""
