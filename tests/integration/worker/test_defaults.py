@@ -23,9 +23,9 @@ pytestmark = [pytest.mark.e2e, pytest.mark.timeout(400)]
 DEFAULTS = {
     name: str(WorkerSettings.model_fields[name.removeprefix("NAOSPRINT_").lower()].default)
     for name in FAST
-    if name != "NAOSPRINT_MODE"
+    if name not in ("NAOSPRINT_MODE", "NAOSPRINT_WORKER_CHECKPOINT_S", "NAOSPRINT_WORKER_KEEP_LAST")
 }
-"""The settings that the other tests shorten, as they are."""
+"""The settings that the other tests shorten, as they are, but every checkpoint is written and kept."""
 
 
 def database_time(service: Service) -> datetime:
