@@ -65,9 +65,11 @@ def run(folder: Path, module: str, *words: str, **options: Any) -> tuple[int, di
 
 CHILD = {"PYTHONFAULTHANDLER": "1", "PYTHONUNBUFFERED": "1"}
 """What a worker sets for its children."""
+SERVICE = {"PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1"}
+"""What `naoctl up` sets for its services."""
 
 
-@pytest.mark.parametrize("variables", [{}, CHILD], ids=["plain", "child of a worker"])
+@pytest.mark.parametrize("variables", [{}, CHILD, SERVICE], ids=["plain", "child of a worker", "service"])
 @pytest.mark.parametrize("words", [(), ("message",)])
 @pytest.mark.parametrize("options", [{}, OPTIONS])
 def test_it_is_the_same_process(
@@ -120,3 +122,58 @@ def test_packages_of_ones_own_are_loaded_before_the_fork(probe: Path) -> None:
     assert forked == executed and forked[1]["path"][1] == str(site)
     _, without, _, _ = run(probe, "probe")
     assert str(site) not in without["path"]
+
+
+WAYS = {"launch": forking.LAUNCH, "guard": forking.GUARD}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_script_that_starts_it_is_the_same(probe: Path, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One script becomes the program, the other one watches it."""
+    monkeypatch.setattr(forking, "SERVERS", ("probe",))
+    forked, fork = [], forking.Template.fork
+    monkeypatch.setattr(forking.Template, "fork", lambda *all: forked.append(fork(*all)) or forked[-1])
+
+    def started(module: str) -> tuple[int, dict[str, Any], str]:
+        arguments = [str(os.getpid()), "9", "-"] if way == "launch" else [str(probe / "home"), "15"]
+        command = [sys.executable, "-I", "-S", WAYS[way], *arguments, sys.executable, "-P", "-m", module]
+        environment = {"PATH": os.environ["PATH"], "LANG": "C.UTF-8", "PYTHONPATH": str(probe), "OMP_NUM_THREADS": "1"}
+        if way == "launch":
+            environment = {**os.environ, "PYTHONPATH": str(probe)}
+        with subprocess.Popen(
+            command, cwd=probe, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        ) as process:
+            assert process.stdin is not None and process.stdout is not None
+            if way == "launch":
+                process.stdin.close()
+            first, rest = process.stdout.readline().replace("other", "probe"), process.stdout.read()
+            code = process.wait()
+        shown = json.loads(first)
+        assert (shown["parent"] == os.getpid()) == (way == "launch")
+        return code, {**shown, "parent": None}, rest
+
+    assert started("probe") == started("other")
+    assert len(forked) == 1
+
+
+def test_a_server_ends_with_its_guard(probe: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forking, "SERVERS", ("probe",))
+    command = [
+        sys.executable,
+        "-I",
+        "-S",
+        forking.GUARD,
+        str(probe / "home"),
+        "15",
+        sys.executable,
+        "-m",
+        "probe",
+        "wait",
+    ]
+    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(probe)}
+    options: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "start_new_session": True}
+    with subprocess.Popen(command, cwd=probe, env=environment, **options) as process:
+        assert process.stdin is not None and process.stdout is not None
+        assert json.loads(process.stdout.readline())["parent"] == process.pid
+        process.kill()
+        assert process.stdout.read() == b""  # the other end is closed: nothing of it runs

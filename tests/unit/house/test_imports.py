@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -45,12 +46,14 @@ ON_DEMAND = {("naosim.robots.booster", "naosim.mujoco.shapes")}
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "gymnasium", "mujoco", "rcsssmj"}
 
 
-def modules(package: str) -> Iterator[tuple[str, ast.Module]]:
-    """Yield every module of a package by its dotted name."""
-    folder = SOURCES[package]
+@cache
+def modules(package: str) -> tuple[tuple[str, ast.Module], ...]:
+    """Return every module of a package by its dotted name."""
+    folder, found = SOURCES[package], []
     for path in sorted(folder.rglob("*.py")):
         parts = [package, *path.relative_to(folder).with_suffix("").parts]
-        yield ".".join(part for part in parts if part != "__init__"), ast.parse(path.read_text())
+        found.append((".".join(part for part in parts if part != "__init__"), ast.parse(path.read_text())))
+    return tuple(found)
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
