@@ -21,7 +21,7 @@ import imageio_ffmpeg
 import psutil
 import pytest
 from naojobs import matches
-from naojobs.capabilities import CONFINED_MATCH_TASK, Capabilities, waiting_reasons
+from naojobs.capabilities import Capabilities, match_task, waiting_reasons
 from naojobs.errors import LeaseLostError
 from naojobs.leases import Lease, MatchClaim
 from naojobs.matches import MatchRequest, StoredGame
@@ -179,12 +179,32 @@ def test_a_match_survives_its_worker_and_keeps_the_games_that_are_over(
 
     boxed = packed({"team.json": json.dumps({"image": "boxed:1", "command": ["play", "{port}"]})})
     assert upload(admin, "boxed", boxed, owner="alice").status_code == 201
-    refused = submit(client, "boxed", "standing")
-    words = until(client, refused, lambda match: match["state"] == "failed")["error"]
-    assert words.startswith("team A: NAOSPRINT_RELAY_IMAGE: not set"), words
+    waiting = submit(client, "boxed", "standing")
+    reason = client.get(f"/matches/{waiting}").json()["waiting_reason"]
+    assert reason.endswith("teams with an image a Docker engine and NAOSPRINT_RELAY_IMAGE"), reason
+    client.post(f"/matches/{waiting}/cancel").raise_for_status()
 
 
-CAPABLE = Capabilities({"match": 1, CONFINED_MATCH_TASK: 1}, ["t1"], ["match"], [])
+def test_a_match_waits_for_a_worker_that_can_play_its_teams(
+    client: httpx.Client, admin: httpx.Client, sessions: Sessions
+) -> None:
+    """A team with an image needs an engine, one without a kernel that confines it, and both of them both."""
+    assert upload(admin, "from-a-folder", packed({"team.json": json.dumps(COMMAND)}), owner="alice").status_code == 201
+    image = {"image": "team:1", "command": ["play", "{port}"]}
+    assert upload(admin, "from-an-image", packed({"team.json": json.dumps(image)}), owner="alice").status_code == 201
+    both = (False, True)
+    kinds = {(one, two): match_task(confined=one, contained=two) for one in both for two in both}
+    for (confined, contained), task in kinds.items():
+        teams = ["from-a-folder" if confined else "example", "from-an-image" if contained else "example"]
+        match_id = submit(client, *teams)
+        for other in set(kinds.values()) - {task}:
+            able = Capabilities({other: 1}, ["t1"], ["match"], [])
+            assert claim_work(sessions, Match, match_id, "worker", capabilities=able) is None
+        able = Capabilities({task: 1}, ["t1"], ["match"], [])
+        assert claim_work(sessions, Match, match_id, "worker", capabilities=able) is not None
+
+
+CAPABLE = Capabilities({"match": 1, "confined-match": 1}, ["t1"], ["match"], [])
 
 
 def play(sessions: Sessions, store: ArtifactStore, match_id: str, *goals: tuple[int, int]) -> MatchClaim:

@@ -10,7 +10,7 @@ import naopolicies
 import numpy as np
 import pytest
 from naojobs import requests
-from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_TASK, live_workers, waiting_reasons
+from naojobs.capabilities import live_workers, match_task, waiting_reasons
 from naojobs.models import Checkpoint, Evaluation, Job, Worker
 from naojobs.states import WorkState
 from naojobs.store import StoreManifest, artifact_of
@@ -358,10 +358,9 @@ def test_a_worker_leaves_work_that_it_cannot_run_to_others(service: Service) -> 
     with service.sessions() as session:
         worker = session.query(Worker).one()
         reasons = waiting_reasons(session, [job], live_workers(session, stale_s=30))
-    matches = {
-        name for name in worker.tasks if name in (MATCH_TASK, CONFINED_MATCH_TASK)
-    }  # what this kernel can confine
-    assert MATCH_TASK in matches
+    plain, confined = (match_task(confined=confined, contained=False) for confined in (False, True))
+    matches = {name for name in worker.tasks if name in (plain, confined)}  # what this kernel can confine
+    assert plain in matches
     assert worker.tasks == dict.fromkeys((*plugins.names(plugins.TASKS), *matches), 1)
     assert (worker.robots, worker.simulators) == (list(plugins.names(plugins.ROBOTS)), ["embedded", "match"])
     assert reasons == {newer: "no worker has task 'sprint2' version 2 (workers have version 1)"}

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 from naosim import robots
 from naosim.mujoco import world
+from naosprint_worker import capabilities
 from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.settings import WorkerSettings
 
@@ -76,6 +80,44 @@ def test_matches_wait_for_workers_that_embed_and_have_the_server(environment: py
     assert queues() == ["embedded", "server", "match"]
     environment.setattr(world.metadata, "version", lambda name: "3.4.0")
     assert queues() == ["embedded", "server"]
+
+
+class Engine(BaseHTTPRequestHandler):
+    """What a Docker engine answers to a client that asks whether it is there."""
+
+    def do_GET(self) -> None:
+        body = b"OK" if self.path.endswith("/_ping") else json.dumps({"ApiVersion": "1.45"}).encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+def test_matches_of_teams_with_an_image_wait_for_workers_with_an_engine_and_a_relay(
+    environment: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def kinds() -> set[str]:
+        tasks = installed_capabilities(WorkerSettings()).tasks  # type: ignore[call-arg]
+        return {name.removesuffix("match") for name in tasks if name.endswith("match")}
+
+    environment.setenv("NAOSPRINT_WORKER_QUEUES", "embedded")
+    environment.setattr(capabilities, "landlock_version", lambda: capabilities.NETWORK_VERSION)
+    with ThreadingHTTPServer(("127.0.0.1", 0), Engine) as engine:
+        thread = threading.Thread(target=engine.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        environment.setenv("DOCKER_HOST", f"tcp://127.0.0.1:{engine.server_port}")
+        assert kinds() == {"", "confined-"}
+        environment.setenv("NAOSPRINT_RELAY_IMAGE", "python:3.11")
+        assert kinds() == {"", "confined-", "container-", "confined-container-"}
+        environment.setattr(capabilities, "landlock_version", lambda: capabilities.NETWORK_VERSION - 1)
+        assert kinds() == {"", "container-"}
+        engine.shutdown()
+        thread.join()
+    assert kinds() == {""}
+    assert "this worker plays no matches of teams with an image: Docker: " in caplog.text
 
 
 @pytest.mark.parametrize(("processors", "slots", "games"), [(1, 1, 1), (2, 1, 1), (8, 1, 4), (8, 2, 2), (4, 4, 1)])

@@ -16,8 +16,17 @@ from naojobs.states import WorkState
 
 MATCH_QUEUE = "match"
 """Queue in which matches wait, beside those of the simulators."""
-MATCH_TASK, CONFINED_MATCH_TASK, MATCH_VERSION = "match", "confined-match", 1
-"""What workers have among their tasks that play matches, and those of uploaded teams, whose agents must be confined."""
+MATCH_VERSION = 1
+
+
+def match_task(*, confined: bool, contained: bool) -> str:
+    """Return what workers have among their tasks that play a kind of matches.
+
+    Args:
+        confined: whether an uploaded team plays from its folder, whose agents must be confined.
+        contained: whether a team plays from a container image.
+    """
+    return f"{'confined-' * confined}{'container-' * contained}match"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +124,9 @@ def _reason(work: Work, workers: Sequence[Worker]) -> str | None:
     if any(_capabilities(worker).meets(work) for worker in workers):
         return None
     if isinstance(work, Match):
-        confined = ", and uploaded teams Linux 6.7" if work.task == CONFINED_MATCH_TASK else ""
-        return f"no worker can play it: matches need the package rcsssmj and the queue embedded{confined}"
+        confined = ", uploaded teams Linux 6.7" if "confined" in work.task else ""
+        image = ", teams with an image a Docker engine and NAOSPRINT_RELAY_IMAGE" if "container" in work.task else ""
+        return f"no worker can play it: matches need the package rcsssmj and the queue embedded{confined}{image}"
     if not any(work.simulator in worker.simulators for worker in workers):
         return f"no worker has simulator {work.simulator!r}"
     if not any(work.robot in worker.robots for worker in workers):

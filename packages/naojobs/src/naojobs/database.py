@@ -36,7 +36,7 @@ _NOTIFY = text(
     "FROM unnest(CAST(:changed AS text[])) AS job"
 )
 
-REVISION = "0027"
+REVISION = "0028"
 """The revision of the schema that this code is written for."""
 
 _MIGRATION_LOCK = 0x6E616F

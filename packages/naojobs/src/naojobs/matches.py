@@ -10,7 +10,7 @@ from typing import Any
 from naospec.teams import ROBOT
 from sqlalchemy import func, select, update
 
-from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_QUEUE, MATCH_TASK, MATCH_VERSION, Requirements
+from naojobs.capabilities import MATCH_QUEUE, MATCH_VERSION, Requirements, match_task
 from naojobs.changes import add_event
 from naojobs.database import Sessions, notify
 from naojobs.ids import new_id
@@ -80,8 +80,10 @@ def submit_match(
             gate=request.gate,
             film=request.film,
         )
-        uploaded = any(team.team_id is not None for team in spec.teams)
-        task = CONFINED_MATCH_TASK if uploaded else MATCH_TASK
+        task = match_task(
+            confined=any(team.team_id is not None and team.image is None for team in spec.teams),
+            contained=any(team.image is not None for team in spec.teams),
+        )
         match = Match(
             id=new_id("match"),
             owner=owner,

@@ -390,6 +390,8 @@ class TeamRecord(Base):
     """A `naojobs.store.StoreManifest`."""
     size: Mapped[int] = mapped_column(BigInteger)
     """Bytes of its archive."""
+    image: Mapped[str | None] = mapped_column(String(255))
+    """Container image that its agents run in."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
     __table_args__ = (UniqueConstraint("owner", "name"),)

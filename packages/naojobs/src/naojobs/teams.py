@@ -47,6 +47,8 @@ class MatchTeam(BaseModel):
     policies: dict[str, str] = {}
     """By skill, the name of a bundled policy or the id of a checkpoint."""
     team_id: str | None = None
+    image: str | None = None
+    """Container image that its agents run in."""
 
 
 class MatchSpec(BaseModel):
@@ -76,7 +78,7 @@ def find_team(session: Session, owner: str, text: str, field: str) -> MatchTeam:
             known = session.scalars(select(TeamRecord.name).where(TeamRecord.owner == owner).order_by(TeamRecord.name))
             names = ", ".join([EXAMPLE, f"{EXAMPLE}:walk=POLICY", *known])
             raise InvalidError(f"no team {text!r}; use one of {names}, or upload a team", field)
-        return MatchTeam(name=found.name, identity=found.id, team_id=found.id)
+        return MatchTeam(name=found.name, identity=found.id, team_id=found.id, image=found.image)
     try:
         references = skills_of(text)
     except ValueError as error:
@@ -122,6 +124,10 @@ class TeamArchive:
     Raises:
         InvalidError: if it is none, has links, devices or names that lead out of it, is too large, or its team.json is
             missing, malformed, or reads folders outside.
+
+    Attributes:
+        data: the archive, not compressed.
+        command: what its team.json says.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -142,10 +148,10 @@ class TeamArchive:
         except ValueError as error:
             raise InvalidError(f"{TEAM_FILE}: {error}", "body") from None
         try:
-            reads = team_command(found, TEAM_FILE).reads
+            self.command = team_command(found, TEAM_FILE)
         except ValueError as error:
             raise InvalidError(str(error), "body") from None
-        if reads:
+        if self.command.reads:
             raise InvalidError(f"{TEAM_FILE}: reads: put what agents need into the folder; leave it out", "body")
 
 
@@ -188,7 +194,13 @@ def upload_team(
     key = team_key(team_id)
     manifest = StoreManifest(files=(store.put_bytes(f"{key}/{ARCHIVE}", archive.data),))
     team = TeamRecord(
-        id=team_id, owner=owner, name=name, key=key, manifest=manifest.model_dump(mode="json"), size=manifest.size
+        id=team_id,
+        owner=owner,
+        name=name,
+        key=key,
+        manifest=manifest.model_dump(mode="json"),
+        size=manifest.size,
+        image=archive.command.image,
     )
     try:
         with sessions.begin() as session:

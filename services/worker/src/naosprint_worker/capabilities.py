@@ -6,8 +6,9 @@ import logging
 import os
 from collections.abc import Iterator
 
-from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_QUEUE, MATCH_TASK, MATCH_VERSION, Capabilities
+from naojobs.capabilities import MATCH_QUEUE, MATCH_VERSION, Capabilities, match_task
 from naojobs.notifications import DEFAULT_QUEUE
+from naosim.launchers.docker import connect
 from naosim.mujoco.program import PROGRAM_VARIABLE, missing_server
 from naospec import plugins
 from naosprint.matches.confine import NETWORK_VERSION, landlock_version
@@ -39,10 +40,27 @@ def _matches(settings: WorkerSettings) -> dict[str, int]:
     if reason:
         logger.warning("this worker plays no matches: %s", reason)
         return {}
-    if landlock_version() < NETWORK_VERSION:
+    confines = landlock_version() >= NETWORK_VERSION
+    if not confines:
         logger.warning("this worker plays no matches of uploaded teams: the kernel has no Landlock with rules for TCP")
-        return {MATCH_TASK: MATCH_VERSION}
-    return {MATCH_TASK: MATCH_VERSION, CONFINED_MATCH_TASK: MATCH_VERSION}
+    kinds = [match_task(confined=False, contained=False)]
+    if confines:
+        kinds.append(match_task(confined=True, contained=False))
+    if _has_containers(settings):
+        kinds += [match_task(confined=confined, contained=True) for confined in {False, confines}]
+    return dict.fromkeys(kinds, MATCH_VERSION)
+
+
+def _has_containers(settings: WorkerSettings) -> bool:
+    """Return whether teams can play from container images here; log why not."""
+    if not settings.relay_image:
+        return False
+    try:
+        connect().close()
+    except OSError as error:
+        logger.warning("this worker plays no matches of teams with an image: %s", error)
+        return False
+    return True
 
 
 def _robots(settings: WorkerSettings) -> Iterator[str]:
