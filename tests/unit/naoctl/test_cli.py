@@ -634,6 +634,15 @@ def test_every_command_has_help_and_json(naoctl: Callable[..., Ran]) -> None:
         assert "--json" in flags or name == "demo", name
 
 
+def test_an_application_that_is_built_again_has_the_same_commands() -> None:
+    def sizes() -> dict[str | None, int]:
+        groups = build_app().registered_groups
+        return {group.name: len(group.typer_instance.registered_commands) for group in groups if group.typer_instance}
+
+    first = sizes()
+    assert first == sizes() and first["policies"] > 5
+
+
 def test_shell_completes_commands() -> None:
     """Ask as bash does; which shell runs the tests plays no part."""
     question = {"_NAOCTL_COMPLETE": "complete_bash", "COMP_WORDS": "naoctl sub", "COMP_CWORD": "1"}

@@ -194,7 +194,9 @@ def local_policy(context: Context, name: str) -> Iterator[Path]:
         yield folder
 
 
+registry.register(app)  # once: an application may be built again
+
+
 def register(parent: typer.Typer) -> None:
     """Add the commands."""
-    registry.register(app)
     parent.add_typer(app, name="policies")
