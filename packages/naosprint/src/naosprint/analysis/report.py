@@ -274,6 +274,7 @@ def _plots(
 def _save(figure: Figure, stem: Path) -> str:
     """Write a figure as SVG and PNG and return the SVG as text to put into a page."""
     figure.savefig(stem.with_suffix(".png"), dpi=150)
+    figure.set_layout_engine("none")  # the layout, a third of the time, is that of the PNG
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue()
