@@ -23,9 +23,10 @@ from tests.ports import reserved_port
 
 PACKAGES = [Path(__file__).parents[2] / "packages" / f"naosprint-{name}" for name in ("backwards", "push", "sac")]
 TASK = "run-backwards"
-STEPS = 1_000_000
+STEPS = 600_000
 FLAGS = ("--n-steps", "32", "--batch-size", "1024", "--gamma", "0.99", "--checkpoint-interval-steps", "500_000")
-LEAST_M = 5.0
+LEAST_M = 2.0
+"""Metres backwards, of which a robot that falls does not reach one."""
 MOST_LINES = {"naosprint_backwards": 105, "naosprint_push": 105, "naosprint_sac": 150}
 
 pytestmark = pytest.mark.timeout(1500)
@@ -212,7 +213,7 @@ def test_a_task_with_a_ball_is_trained_evaluated_filmed_and_exported(installed: 
 
 def test_an_algorithm_is_trained_killed_resumed_evaluated_and_exported(installed: Installation, tmp_path: Path) -> None:
     """Soft actor-critic of stable-baselines3 learns sprint1 on a NAO; a killed training continues."""
-    few = ("--n-envs", "8", "--n-steps", "32", "--steps", "10_240", "--checkpoint-interval-steps", "512")
+    few = ("--n-envs", "8", "--n-steps", "32", "--steps", "5_120", "--checkpoint-interval-steps", "512")
     own = ("--algorithm", "sac", "--units", "16", "--random-steps", "512", "--gradient-steps", "2")
     job = json.loads(installed.naoctl("submit", *own, *few, "--eval-episodes", "10", "--name", "sac", "--json"))
     path = f"/jobs/{job['id']}"
@@ -221,7 +222,7 @@ def test_an_algorithm_is_trained_killed_resumed_evaluated_and_exported(installed
     training.kill()
     installed.naoctl("watch", job["id"], "--json")
     job = installed.client.get(path).json()
-    assert (job["state"], job["progress_step"], job["attempt"]) == ("succeeded", 10_240, 2)
+    assert (job["state"], job["progress_step"], job["attempt"]) == ("succeeded", 5_120, 2)
     metrics = installed.client.get(f"{path}/metrics").json()["columns"]
     assert {"distance_m", "sac_actor_loss", "sac_critic_loss"} <= set(metrics)
     (algorithm,) = (each for each in installed.client.get("/algorithms").json() if each["name"] == "sac")
