@@ -16,7 +16,7 @@ from naoctl.commands.submit import make_body
 from naoctl.errors import ExitCode, InvalidInput
 from naospec import TrainingSpec
 from naospec.job_files import load_job_file
-from naosprint_api.schemas import JobCreate
+from naosprint_api.schemas.jobs import JobCreate
 from typer.testing import CliRunner
 
 from . import documents

@@ -13,7 +13,7 @@ from naojobs.submission import INVISIBLE
 from naosprint_api.app import openapi_document
 from naosprint_api.patterns import PLAIN, WORDS
 from naosprint_api.problems import field_errors
-from naosprint_api.schemas import JobCreate
+from naosprint_api.schemas.jobs import JobCreate
 from pydantic import ValidationError
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
 from naospec import TrainingSpec
-from naosprint_api.schemas import GroupCreate, JobCreate, StudyCreate
+from naosprint_api.schemas.jobs import GroupCreate, JobCreate
+from naosprint_api.schemas.studies import StudyCreate
 from pydantic import BaseModel, ValidationError
 
 

@@ -18,7 +18,8 @@ from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from naosprint_api.results import summaries_of
-from naosprint_api.schemas import FilePublic, PolicyCard, PolicyDetails, PolicyPage
+from naosprint_api.schemas.common import FilePublic
+from naosprint_api.schemas.policies import PolicyCard, PolicyDetails, PolicyPage
 from naosprint_api.views import files_view
 
 BUNDLED_FILES = (naopolicies.CHECKPOINT, naopolicies.WEIGHTS)

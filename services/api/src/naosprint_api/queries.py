@@ -28,7 +28,7 @@ from naojobs.tokens import Principal
 from sqlalchemy import ColumnElement, Select, false, func, select, true, tuple_
 
 from naosprint_api.results import results_of
-from naosprint_api.schemas import JobResult, MetricsPublic
+from naosprint_api.schemas.jobs import JobResult, MetricsPublic
 
 _log = logging.getLogger(__name__)
 

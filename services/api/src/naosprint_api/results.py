@@ -11,7 +11,7 @@ from sqlalchemy import Integer, func, select
 from sqlalchemy.dialects.postgresql import distinct_on
 from sqlalchemy.orm import Session
 
-from naosprint_api.schemas import JobResult, ResultPublic
+from naosprint_api.schemas.jobs import JobResult, ResultPublic
 
 _EPISODES = func.coalesce(Evaluation.summary["episodes"].astext, Evaluation.spec["episodes"].astext).cast(Integer)
 

@@ -28,7 +28,9 @@ from naosprint_api.limits import RateLimiter
 from naosprint_api.probes import Probe, Probes
 from naosprint_api.recent import Recent
 from naosprint_api.results import results_of
-from naosprint_api.schemas import EvaluationPublic, JobPublic, MatchPublic
+from naosprint_api.schemas.artifacts import EvaluationPublic
+from naosprint_api.schemas.jobs import JobPublic
+from naosprint_api.schemas.matches import MatchPublic
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
 from naosprint_api.views import evaluation_view, job_view, match_view

@@ -11,19 +11,11 @@ from naojobs.states import WorkState
 from naojobs.store import StoreManifest
 from naospec.match_results import rows, sums
 
-from naosprint_api.schemas import (
-    CheckpointPublic,
-    EvaluationPublic,
-    EventPublic,
-    FilePublic,
-    GamePublic,
-    JobPublic,
-    JobResult,
-    LogPublic,
-    MatchDetails,
-    MatchPublic,
-    WorkerPublic,
-)
+from naosprint_api.schemas.artifacts import CheckpointPublic, EvaluationPublic
+from naosprint_api.schemas.common import FilePublic
+from naosprint_api.schemas.jobs import EventPublic, JobPublic, JobResult, LogPublic
+from naosprint_api.schemas.matches import GamePublic, MatchDetails, MatchPublic
+from naosprint_api.schemas.system import WorkerPublic
 
 
 def job_view(job: Job, waiting_reason: str | None = None, result: JobResult | None = None) -> JobPublic:

@@ -27,7 +27,13 @@ from naosprint_api.dependencies import (
 from naosprint_api.downloads import send_archive, send_file
 from naosprint_api.patterns import STEP
 from naosprint_api.problems import responses
-from naosprint_api.schemas import CheckpointPage, CheckpointPublic, EvaluationCreate, EvaluationPage, EvaluationPublic
+from naosprint_api.schemas.artifacts import (
+    CheckpointPage,
+    CheckpointPublic,
+    EvaluationCreate,
+    EvaluationPage,
+    EvaluationPublic,
+)
 from naosprint_api.submitted import SubmissionDep
 from naosprint_api.views import checkpoint_view
 

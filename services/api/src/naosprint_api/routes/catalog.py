@@ -13,7 +13,7 @@ from naospec.sections import variants
 from pydantic import BaseModel, Field
 
 from naosprint_api.dependencies import CountedRoute
-from naosprint_api.schemas import JobCreate
+from naosprint_api.schemas.jobs import JobCreate
 
 router = APIRouter(tags=["catalog"], route_class=CountedRoute)
 

@@ -27,7 +27,7 @@ from naosprint_api.dependencies import (
 )
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
-from naosprint_api.schemas import (
+from naosprint_api.schemas.jobs import (
     EventPage,
     GroupCreate,
     GroupPublic,

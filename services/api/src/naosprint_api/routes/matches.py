@@ -27,7 +27,7 @@ from naosprint_api.downloads import send_file
 from naosprint_api.patterns import PLAIN, POLICY
 from naosprint_api.problems import responses
 from naosprint_api.routes.artifacts import FILE, Presigned
-from naosprint_api.schemas import (
+from naosprint_api.schemas.matches import (
     MatchCreate,
     MatchDetails,
     MatchEventPage,

@@ -19,7 +19,14 @@ from naosprint_api.downloads import send_file
 from naosprint_api.patterns import ALIAS, PLACE, PLAIN, POLICY, REFERENCE
 from naosprint_api.problems import responses
 from naosprint_api.routes.artifacts import finished
-from naosprint_api.schemas import AliasSet, PolicyCard, PolicyDetails, PolicyPage, RequirementsSet, VersionCreate
+from naosprint_api.schemas.policies import (
+    AliasSet,
+    PolicyCard,
+    PolicyDetails,
+    PolicyPage,
+    RequirementsSet,
+    VersionCreate,
+)
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["policies"], route_class=CountedRoute)

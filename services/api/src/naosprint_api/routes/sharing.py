@@ -22,7 +22,7 @@ from naosprint_api.downloads import send_file
 from naosprint_api.patterns import TICKET
 from naosprint_api.problems import responses
 from naosprint_api.routes.artifacts import finished
-from naosprint_api.schemas import PagePublic, ShareCreate, SharePublic
+from naosprint_api.schemas.access import PagePublic, ShareCreate, SharePublic
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["sharing"], route_class=CountedRoute)

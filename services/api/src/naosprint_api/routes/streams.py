@@ -25,7 +25,7 @@ from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import FieldError, ProblemError, responses
 from naosprint_api.queries import Position
 from naosprint_api.routes.jobs import job_filter
-from naosprint_api.schemas import JobPublic
+from naosprint_api.schemas.jobs import JobPublic
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["streams"], route_class=CountedRoute)

@@ -16,7 +16,7 @@ from naosprint_api import queries
 from naosprint_api.dependencies import CountedRoute, Cursor, PageLimit, Reader, ServiceDep, Submitter
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
-from naosprint_api.schemas import (
+from naosprint_api.schemas.studies import (
     StudyCreate,
     StudyDetails,
     StudyExtend,

@@ -26,7 +26,7 @@ from naosprint_api.dependencies import (
 )
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
-from naosprint_api.schemas import UsagePublic, WorkerDrain, WorkerPage, WorkerPublic
+from naosprint_api.schemas.system import UsagePublic, WorkerDrain, WorkerPage, WorkerPublic
 from naosprint_api.service import Service
 from naosprint_api.views import worker_view
 

@@ -13,7 +13,7 @@ from naojobs.tokens import Scope, create_token, get_token, list_tokens, revoke
 
 from naosprint_api.dependencies import CountedRoute, Cursor, PageLimit, ServiceDep, Submitter, require
 from naosprint_api.problems import responses
-from naosprint_api.schemas import TokenCreate, TokenMade, TokenPage, TokenPublic
+from naosprint_api.schemas.access import TokenCreate, TokenMade, TokenPage, TokenPublic
 
 router = APIRouter(tags=["tokens"], route_class=CountedRoute)
 

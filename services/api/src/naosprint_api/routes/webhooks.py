@@ -18,7 +18,14 @@ from naosprint_api import alerts
 from naosprint_api.dependencies import CountedRoute, Cursor, PageLimit, ServiceDep, Submitter
 from naosprint_api.outbound import Network, is_refused_literal
 from naosprint_api.problems import responses
-from naosprint_api.schemas import DeliveryPage, DeliveryPublic, WebhookCreate, WebhookMade, WebhookPage, WebhookPublic
+from naosprint_api.schemas.webhooks import (
+    DeliveryPage,
+    DeliveryPublic,
+    WebhookCreate,
+    WebhookMade,
+    WebhookPage,
+    WebhookPublic,
+)
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["webhooks"], route_class=CountedRoute)
