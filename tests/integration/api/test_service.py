@@ -108,10 +108,10 @@ def test_a_job_is_announced_to_workers_that_have_its_simulator(
         queue.flushall()
         urgent = client.post("/jobs", json={"priority": 9}).json()["id"]
         plain = client.post("/jobs", json={"spec": {"simulator": "server"}}).json()["id"]
-        client.get("/jobs")  # the previous request's wake-up message has been sent when the connection is free again
         for key, job_id in (("embedded", urgent), ("server", plain)):
-            (raw,) = queue.lrange(key, 0, -1)
-            message = json.loads(raw)
+            found = queue.blpop(key, timeout=30)  # it is sent after the answer
+            assert found is not None and queue.llen(key) == 0
+            message = json.loads(found[1])
             assert message["headers"]["task"] == "naosprint_worker.wake_up"
             assert json.loads(b64decode(message["body"]))[0] == [job_id]
     events = client.get(f"/jobs/{urgent}/events").json()["items"]
