@@ -7,8 +7,9 @@ from pathlib import Path
 
 import naopolicies
 import pytest
+from naospec.metrics import Metric, Result
 from naosprint.__main__ import main
-from naosprint.analysis import figures
+from naosprint.analysis import examination, figures
 from naosprint.analysis.motion import motion
 from naosprint.analysis.robustness import CONDITIONS, DISTURBANCES, Disturbance, Point, ranges
 
@@ -56,6 +57,19 @@ def test_a_running_robot_moves_faster_and_lands_harder_than_a_standing_one() -> 
     assert found["running"]["joint_speed_rad_s"] > 10 * found["standing"]["joint_speed_rad_s"] > 0.0
     assert found["running"]["foot_force_n"] > 3 * found["standing"]["foot_force_n"] > 100.0
     assert found["running"]["torque_at_limit"] > found["standing"]["torque_at_limit"]
+
+
+def test_rows_have_a_cell_for_each_result_that_any_condition_has() -> None:
+    """A card may lack a result that no episode supported: corners, if every robot fell before one."""
+
+    def result(name: str, value: float) -> dict[str, object]:
+        metric = Metric(name, name.title(), "%", "", 1, "higher", "rate")
+        return Result(metric, value).to_json()
+
+    conditions = [("none", [result("line", 0.75), result("corner", 0.45)]), ("delay", [result("line", 0.5)])]
+    card = {"robustness": [{"disturbance": name, "results": results} for name, results in conditions]}
+    ((_, table),) = examination.rows(card)
+    assert table == [["Disturbance", "Line", "Corner"], ["none", "75.0 %", "45.0 %"], ["delay", "50.0 %", "-"]]
 
 
 def test_figures_have_a_panel_for_each_range_that_was_run(monkeypatch: pytest.MonkeyPatch) -> None:

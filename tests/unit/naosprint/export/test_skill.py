@@ -85,6 +85,7 @@ def folder_of(robot: str, directory: Path) -> Path:
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "kick", "power_fraction": 0.0}),
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "kick", "power_fraction": 1.0, "rolling_fraction": 1.0}),
         ({"name": "t1", "head_pitch_rad": 0.6}, "dribble"),
+        ({"name": "t1", "head_pitch_rad": 0.6}, "block"),
     ],
     ids=[
         "t1",
@@ -96,6 +97,7 @@ def folder_of(robot: str, directory: Path) -> Path:
         "t1-pass",
         "t1-power-kick",
         "t1-dribble",
+        "t1-block",
     ],
 )
 def test_the_skill_is_the_policy(robot: dict[str, Any], task: Any, tmp_path: Path, numpy_alone: Path) -> None:

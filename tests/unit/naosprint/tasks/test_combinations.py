@@ -27,7 +27,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "an unknown task": (
         {"robot": "t1", "task": "swim"},
-        "task: unknown task 'swim': choose one of dribble, getup, kick, sprint1, sprint1-erect, sprint2, "
+        "task: unknown task 'swim': choose one of block, dribble, getup, kick, sprint1, sprint1-erect, sprint2, "
         "sprint2-erect, velocity",
     ),
     "a task that needs a perceived position": (

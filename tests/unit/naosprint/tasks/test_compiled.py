@@ -14,6 +14,7 @@ from naosprint import _compiled
 from naosprint.mirror import Mirror
 from naosprint.rl.normalization import Normalizer, RunningMoments
 from naosprint.tasks import ObservationBlock, RewardTerm, Task
+from naosprint.tasks.block import Block
 from naosprint.tasks.dribble import Dribble
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.getup import GetUp
@@ -118,6 +119,7 @@ def test_a_mujoco_robot_too() -> None:
         (Kick, {"handover_states": 8, "rolling_fraction": 1.0, "whole_roll": True}),
         (Dribble, {"handover_states": 8, "line_steps": 10}),
         (Dribble, {"handover_states": 8, "course": True}),
+        (Block, {"handover_states": 8}),
     ],
 )
 def test_tasks_of_expressions_have_the_same_bits_in_both_interpreters(

@@ -188,4 +188,4 @@ def test_a_ball_may_roll_on_at_a_corner_and_nowhere_else() -> None:
 
 
 def test_an_evaluation_without_a_corner_has_none() -> None:
-    assert "corner_rate" not in summary(trace_of((4.0, 0.0, 0.7)))
+    assert summary(trace_of((4.0, 0.0, 0.7)))["corner_rate"] is None

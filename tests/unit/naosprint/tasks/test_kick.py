@@ -1,4 +1,4 @@
-"""The task kick and its parts: hand-over states, a frozen walker, the ball's roll, what is perceived, and results."""
+"""The task kick and its parts: hand-over states, a frozen walker, what is perceived, and results."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.robots import Robot
 from naosim.robots.booster import K1, T1
-from naosim.simulator import BALL, STEP_S, Scene, Starts
+from naosim.simulator import BALL, STEP_S
 from naospec import TrainingSpec
 from naosprint.rl.ppo import Rollout
 from naosprint.rl.warm_start import adapt
@@ -184,45 +184,6 @@ def test_a_warm_start_takes_the_spreads_of_new_observations() -> None:
     np.testing.assert_allclose(found["observation_variance"], [4.0, 0.04, 1.0])
     np.testing.assert_array_equal(found["observation_mean"], [2.0, 0.0, 0.0])
     assert not found["mlp_extractor.policy_net.0.weight"][:, 1:].any()
-
-
-# --- the ball's roll --------------------------------------------------------------------------------------------------
-
-
-def test_rolls_are_those_of_the_exact_engine() -> None:
-    """Rolling and sliding, along an axis and aside; a turn by 90 degrees changes nothing."""
-    starts = [(1.0, 0.0, True), (1.0, 20.0, True), (2.0, 30.0, True), (1.5, 100.0, True), (1.5, -20.0, False)]
-    simulator = MujocoSimulator(T1, len(starts), scene=Scene(ball=True))
-    simulator.load_starts(Starts(T1.nominal[None], (0.0, 8.0)))
-    rows, still = np.arange(len(starts)), np.zeros(len(starts), dtype=np.int64)
-    simulator.start(rows, still)
-    speed, angle = np.array([s for s, *_ in starts]), np.radians([a for _, a, _ in starts])
-    velocity = np.stack([speed * np.cos(angle), speed * np.sin(angle), 0.0 * speed], axis=1)
-    spin = np.stack([-velocity[:, 1], velocity[:, 0], 0.0 * speed], axis=1) / RADIUS
-    spin[~np.array([rolls for *_, rolls in starts])] = 0.0
-    simulator.place_ball(rows, np.tile((0.0, -4.0, RADIUS), (len(starts), 1)), velocity, spin)
-    ball = simulator.truth.bodies[BALL]
-    targets = np.tile(T1.nominal, (len(starts), 1))
-    for _ in range(250):
-        simulator.step(targets)
-        if np.hypot(*ball.velocity[:, :2].T).max() < 0.01:
-            break
-    moved = ball.position[:, :2] - (0.0, -4.0)
-    predicted = rolling.roll(source(velocity), source(spin), RADIUS)(slice(None))
-    distance, direction = rolling.stop(np.hypot(*predicted.T), np.arctan2(predicted[:, 1], predicted[:, 0]))
-    found = np.hypot(*moved.T)
-    np.testing.assert_allclose(distance[:4], found[:4], rtol=0.02)
-    assert 0.0 < found[4] - distance[4] < 0.15  # it slides at first
-    turned = np.degrees(np.arctan2(moved[:, 1], moved[:, 0]) - direction)
-    np.testing.assert_allclose(turned, 0.0, atol=1.0)
-
-
-def test_a_launch_stops_where_it_is_aimed_at() -> None:
-    rng = np.random.default_rng(0)
-    distance, direction = rng.uniform(1.5, 10.0, 500), rng.uniform(-np.pi, np.pi, 500)
-    reached, found = rolling.stop(*rolling.launch(distance, direction))
-    np.testing.assert_allclose(reached, distance, rtol=0.01)
-    np.testing.assert_allclose(np.cos(found - direction), 1.0, atol=1e-5)
 
 
 # --- starts and perception --------------------------------------------------------------------------------------------

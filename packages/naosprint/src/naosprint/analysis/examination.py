@@ -104,9 +104,14 @@ def rows(found: Mapping[str, Any]) -> Iterator[tuple[str, list[list[str]]]]:
         shares = [f"{100.0 * each['torque_at_limit']:.1f} %" for each in (running, standing)]
         yield "Motion", [["", "Running", "Standing"], *lines, ["Motors at their torque limit", *shares]]
     if found.get("robustness"):
-        titles = [result["title"] for result in found["robustness"][0]["results"]]
-        lines = [[row["disturbance"], *map(value_text, row["results"])] for row in found["robustness"]]
-        yield "Robustness", [["Disturbance", *titles], *lines]
+        # a card may lack what no episode supported
+        titles = {result["name"]: result["title"] for row in found["robustness"] for result in row["results"]}
+        texts = [{result["name"]: value_text(result) for result in row["results"]} for row in found["robustness"]]
+        lines = [
+            [row["disturbance"], *(text.get(name, "-") for name in titles)]
+            for row, text in zip(found["robustness"], texts, strict=True)
+        ]
+        yield "Robustness", [["Disturbance", *titles.values()], *lines]
     ranges = found.get("ranges") or {}
     if ranges.get("disturbances"):
         title = f"Ranges in which at most {100.0 * ranges['most_failures']:g} % of {ranges['episodes']} episodes fail"

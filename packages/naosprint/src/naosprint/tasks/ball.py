@@ -62,7 +62,7 @@ FOOT_M = 0.106
 class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings):
     """Settings of tasks with a ball."""
 
-    ranges: ClassVar[tuple[tuple[str, str], ...]] = (("ball_near_m", "ball_far_m"),)
+    ranges: ClassVar[tuple[tuple[str, str], ...]] = ()
     """Settings that are the lower and the upper end of a range."""
 
     walker: PlainName | None = Field(
@@ -86,6 +86,25 @@ class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings):
         description="Fastest commanded speed of the walker in these states.",
         json_schema_extra={"unit": "m/s"},
     )
+    fall_penalty: float = Field(default=6.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        for low, high in self.ranges:
+            if getattr(self, low) > getattr(self, high):
+                raise PydanticCustomError(
+                    "range",
+                    "{low}: {least} is above {high}, {most}; exchange them",
+                    {"low": low, "least": getattr(self, low), "high": high, "most": getattr(self, high)},
+                )
+        return self
+
+
+class NearBallSettings(BallSettings):
+    """Settings of tasks that begin with a ball within a few steps."""
+
+    ranges: ClassVar[tuple[tuple[str, str], ...]] = (("ball_near_m", "ball_far_m"),)
+
     ball_near_m: float = Field(
         default=0.35,
         ge=0.3,
@@ -110,18 +129,6 @@ class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings):
         description="Largest distance of the ball to either side at the start.",
         json_schema_extra={"unit": "m"},
     )
-    fall_penalty: float = Field(default=6.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
-
-    @model_validator(mode="after")
-    def _ranges(self) -> Self:
-        for low, high in self.ranges:
-            if getattr(self, low) > getattr(self, high):
-                raise PydanticCustomError(
-                    "range",
-                    "{low}: {least} is above {high}, {most}; exchange them",
-                    {"low": low, "least": getattr(self, low), "high": high, "most": getattr(self, high)},
-                )
-        return self
 
 
 Settings = TypeVar("Settings", bound=BallSettings, default=BallSettings, covariant=True)

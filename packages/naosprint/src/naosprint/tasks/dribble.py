@@ -13,7 +13,7 @@ from naosim.simulator import BALL, STEP_S
 from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field
 
-from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, components, principal
+from naosprint.tasks.ball import FOOT_M, BallTask, NearBallSettings, components, principal
 from naosprint.tasks.base import End, RewardTerm
 from naosprint.tasks.falls import FALL, FALL_RATE
 from naosprint.tasks.measurements import StoredNumbers
@@ -137,10 +137,10 @@ FARTHEST = Metric(
 )
 
 
-class DribbleSettings(BallSettings):
+class DribbleSettings(NearBallSettings):
     """Settings of the task ``dribble``."""
 
-    ranges = (*BallSettings.ranges, ("speed_min_mps", "speed_max_mps"))
+    ranges = (*NearBallSettings.ranges, ("speed_min_mps", "speed_max_mps"))
 
     aim_max_deg: float = Field(
         default=90.0,
@@ -440,7 +440,7 @@ class Dribble(BallTask[DribbleSettings]):
 
         results = (
             rate(LINE, [leg is not None and leg.passed for leg in first]),
-            *((rate(CORNER, [leg.passed for leg in begun]),) if begun else ()),
+            rate(CORNER, [leg.passed for leg in begun]),
             rate(KEPT, [leg.farthest <= LEAD_M for leg in legs]),
             statistics.mean(COURSE_SPEED, [LEG_M / leg.seconds for leg in passed]),
             statistics.median(FARTHEST, [leg.farthest for leg in legs]),

@@ -6,13 +6,13 @@ from typing import Self
 
 from pydantic import Field
 
-from naosprint.tasks.ball import BallSettings
+from naosprint.tasks.ball import NearBallSettings
 
 
-class KickSettings(BallSettings):
+class KickSettings(NearBallSettings):
     """Settings of the task ``kick``."""
 
-    ranges = (*BallSettings.ranges, ("distance_min_m", "distance_max_m"))
+    ranges = (*NearBallSettings.ranges, ("distance_min_m", "distance_max_m"))
 
     aligned_fraction: float = Field(
         default=0.65,

@@ -17,10 +17,12 @@ import numpy as np
 from naosprint.terms import Number, interpolated
 
 if TYPE_CHECKING:
-    from naosprint.arrays import FloatArray
+    from naosprint.arrays import FloatArray, IntArray
 
 _QUARTER = np.pi / 2.0
 _ROUNDS = 50  # the distance grows with the speed to the power 1.5 to 2, so each brings the speed closer
+_PATH_S, _PATH_STEPS, _PATH_M, _PATH_DEG = 0.02, 250, 12.0, 80.0  # of the table of paths
+_DIFFERENCE_MPS, _DIFFERENCE = 0.2, np.radians(4.0)  # for derivatives of the stops
 _TABLE = Path(__file__).with_name("ball_data") / "rolls.json"
 
 
@@ -76,6 +78,76 @@ def launch(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, F
     return _between(speeds, row, column), axis + np.sign(aside) * _between(aims, row, column)
 
 
+def aim(speed: FloatArray, ahead_m: FloatArray, aside_m: FloatArray) -> FloatArray:
+    """Return the (k,) directions in which balls have to roll off to pass (k,) points, radians, 80 degrees at most.
+
+    Directions are counted from an axis of the field, along which a point is ``ahead_m`` and to whose left ``aside_m``
+    metres away.
+
+    Args:
+        speed: (k,) speeds of the rolling balls, with which they get there, m/s.
+        ahead_m: (k,) distances along the axis, up to 12.
+        aside_m: (k,) distances to the left of it.
+    """
+    speeds, directions, lines, passed = paths()
+    target = np.abs(aside_m)
+    row, line = _place(speeds, speed), _place(lines, ahead_m)
+    direction = np.arctan2(target, ahead_m)
+    for _ in range(8):
+        column = _place(directions, direction)
+        found = (1.0 - line[1]) * _between(passed, row, column, line[0]) + line[1] * _between(
+            passed, row, column, line[0] + 1
+        )
+        target = target + np.abs(aside_m) - found
+        direction = np.arctan2(np.maximum(target, 0.0), ahead_m)
+    return np.sign(aside_m) * direction
+
+
+@cache
+def paths() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return (S,) speeds, (D,) directions, (L,) distances ahead, and (L, S, D) how far aside balls are there, metres.
+
+    How a ball slows down follows from where it stops: what it still rolls is a function of its velocity alone, so that
+    this function's derivative along the path is the velocity.
+    """
+    speeds, directions = np.linspace(1.0, 6.0, 21), np.radians(np.arange(0.0, _PATH_DEG + 1.0, 4.0))
+    lines = np.arange(0.0, _PATH_M + 0.1, 0.5)
+    speed, direction = (each.ravel() for each in np.meshgrid(speeds, directions, indexing="ij"))
+    shape = len(lines), *(len(speeds), len(directions))
+    passed: FloatArray = np.zeros((len(lines), len(speed)))
+    place: FloatArray = np.zeros((len(speed), 2))
+    for _ in range(_PATH_STEPS):
+        slower, turned = _rates(speed, direction)
+        before, moved = place, 0.5 * _PATH_S * _vector(speed, direction)
+        speed = np.maximum(speed + _PATH_S * slower, 0.02)
+        direction = direction + _PATH_S * turned
+        place = place + moved + 0.5 * _PATH_S * _vector(speed, direction)
+        # where the path crosses the lines of this step; lines beyond get the path's end
+        for i in np.flatnonzero(lines > before[:, 0].min()).tolist():
+            share = np.clip((lines[i] - before[:, 0]) / np.maximum(place[:, 0] - before[:, 0], 1e-9), 0.0, 1.0)
+            crossing = before[:, 1] + share * (place[:, 1] - before[:, 1])
+            passed[i] = np.where(before[:, 0] < lines[i], crossing, passed[i])
+    return speeds, directions, lines, passed.reshape(shape)
+
+
+def _rates(speed: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how (k,) speeds and directions of rolling balls change, m/s^2 and rad/s."""
+    low, high = np.maximum(speed - _DIFFERENCE_MPS, 0.5 * speed), np.minimum(speed + _DIFFERENCE_MPS, table()[0][-1])
+    by_speed = (_rest(high, direction) - _rest(low, direction)) / (high - low)[:, None]
+    by_direction = (_rest(speed, direction + _DIFFERENCE) - _rest(speed, direction - _DIFFERENCE)) / (2.0 * _DIFFERENCE)
+    rates = np.linalg.solve(np.stack([by_speed, by_direction], axis=2), -_vector(speed, direction)[:, :, None])
+    return rates[:, 0, 0], rates[:, 1, 0]
+
+
+def _rest(speed: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return the (k, 2) ways that balls roll until they stop."""
+    return _vector(*stop(speed, direction))
+
+
+def _vector(length: FloatArray, direction: FloatArray) -> FloatArray:
+    return np.stack([length * np.cos(direction), length * np.sin(direction)], axis=1)
+
+
 @cache
 def launches() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return distances and directions of stops, and for each pair of them the speed and direction of the launch."""
@@ -104,9 +176,9 @@ def _place(grid: FloatArray, values: FloatArray) -> tuple[np.ndarray[tuple[int],
     return index, share
 
 
-def _between(values: FloatArray, row: tuple, column: tuple) -> FloatArray:  # type: ignore[type-arg]
-    """Return a table's values between its rows and columns, bilinearly."""
+def _between(values: FloatArray, row: tuple, column: tuple, *first: IntArray) -> FloatArray:  # type: ignore[type-arg]
+    """Return a table's values between its rows and columns, bilinearly; of more dimensions at the first indices."""
     (i, s), (j, t) = row, column
-    near = (1.0 - t) * values[i, j] + t * values[i, j + 1]
-    far = (1.0 - t) * values[i + 1, j] + t * values[i + 1, j + 1]
+    near = (1.0 - t) * values[*first, i, j] + t * values[*first, i, j + 1]
+    far = (1.0 - t) * values[*first, i + 1, j] + t * values[*first, i + 1, j + 1]
     return np.asarray((1.0 - s) * near + s * far)

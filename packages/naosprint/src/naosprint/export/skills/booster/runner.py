@@ -9,6 +9,7 @@ except ModuleNotFoundError:
 
 ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
 POWER_M = 10.0  # commanded distance of a kick as far as possible
+GOAL_BEHIND_M = 0.4  # distance of a goal without a given place
 
 
 class Runner:
@@ -24,15 +25,18 @@ class Runner:
         # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
         noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
         self.start_targets = self.start_pose_rad + np.radians(noise)
-        self.kicks, self.dribbles = (self.observations.has(name) for name in ("launch_speed", "new_line"))
+        inputs = ("launch_speed", "new_line", "goal")
+        self.kicks, self.dribbles, self.keeps = (self.observations.has(name) for name in inputs)
         self.begin()
 
     def begin(self, heading=None, lane=None, target=None, action=None, position=None):
         """Begin a run along `heading`, the torso's own if it is None; `lane` is a point of the path, (x, y) metres.
 
         A policy of task kick needs a `target`: direction on the team's field in radians and distance in metres, or
-        infinity for a kick as far as possible; one of task dribble direction and speed in m/s. They begin in the middle
-        of a step, with the latest `action` and the torso's latest `position` of the policy that walked so far.
+        infinity for a kick as far as possible; one of task dribble direction and speed in m/s; one of task block the
+        middle of the line of a goal that opens along +x, (x, y) metres, by default right behind the robot. They begin
+        in the middle of a step, with the latest `action` and the torso's latest `position` of the policy that walked
+        so far.
         """
         self.heading, self.lane, self.walked = heading, None if lane is None else np.array(lane, float), position
         self.command, self.cycles, self.position = np.zeros(3), 0, position
@@ -40,6 +44,8 @@ class Runner:
         self.target, self.aimed = None, {}
         if self.kicks or self.dribbles:
             self.turn_to((0.0, np.inf if self.kicks else 1.0) if target is None else target)
+        elif self.keeps:
+            self.target, self.aimed["aim"] = target, 0.0
         self.observations.begin()
 
     def turn_to(self, target):
@@ -81,7 +87,7 @@ class Runner:
         position (3,) in metres and quaternion (w, x, y, z) of the torso on the team's field, gyroscope (3,) in degrees
         per second, joints' angles and speeds in degrees and degrees per second in the order of `joint_names`. A policy
         of task velocity follows `command`: forward and sideways speed in m/s, turn rate in rad/s; a new one starts a
-        new path. Those of tasks kick and dribble need the `ball` as it is seen: distance in metres, azimuth and
+        new path. Those of tasks kick, dribble and block need the `ball` as it is seen: distance in metres, azimuth and
         elevation in degrees from the camera; None or NaN where it is not reported. A new `target` of a dribble begins a
         new line.
         """
@@ -113,6 +119,9 @@ class Runner:
         if self.aimed:
             if self.dribbles:
                 self.turn_to(self.target if target is None else target)
+            elif self.keeps:
+                self.target = position[:2] - (GOAL_BEHIND_M, 0.0) if self.target is None else self.target
+                inputs["goal"] = self._along(np.array(self.target, float))
             inputs.update(self.aimed, entry_velocity=np.zeros(3))
             inputs["perceptors.ball"] = np.full(3, np.nan) if ball is None else ball
         self.cycles += 1

@@ -10,7 +10,7 @@ FALLEN = 0.6  # of the standing height
 
 
 class Naosprint(Skill):
-    """Run straight ahead, follow velocities (task velocity), kick to a point (kick), or dribble (dribble)."""
+    """Run straight ahead, follow velocities (task velocity), kick to a point (kick), dribble, or keep goal (block)."""
 
     def __init__(self, agent):
         super().__init__(agent)
@@ -28,7 +28,8 @@ class Naosprint(Skill):
         A kick has a `target`, (direction on the team's field in radians, distance in metres or infinity), and needs
         the `ball` as it is seen in this cycle: (distance in metres, azimuth, elevation in degrees), or None. `after` is
         the skill whose last step it continues. Once `kicked`, the walking skill has to continue after it, with the
-        command (0, 0, 0). A dribble takes the same, with a `target` of direction and speed in m/s in each cycle.
+        command (0, 0, 0). A dribble takes the same, with a `target` of direction and speed in m/s in each cycle; a
+        keeper (block) the middle of its goal's line, (x, y) in metres.
         """
         robot, position = self.agent.robot, self.agent.world.global_position
         if reset:

@@ -59,14 +59,18 @@ function robustness({ robustness: rows, ranges }) {
     );
   const sections = [];
   if (rows.length) {
-    const titles = ["Disturbance", ...rows[0].results.map((result) => result.title)];
-    const head = titles.map((title, i) => heading(title, i > 0));
-    const body = rows.map((row) =>
-      line(
-        row.disturbance,
-        row.results.map((result) => withUnit(result, result.value)),
-      ),
+    // A card may lack what no episode supported.
+    const measured = new Map(rows.flatMap((row) => row.results.map((result) => [result.name, result])));
+    const head = ["Disturbance", ...[...measured.values()].map((result) => result.title)].map((title, i) =>
+      heading(title, i > 0),
     );
+    const body = rows.map((row) => {
+      const values = new Map(row.results.map((result) => [result.name, result.value]));
+      return line(
+        row.disturbance,
+        [...measured.values()].map((result) => withUnit(result, values.get(result.name) ?? null)),
+      );
+    });
     sections.push(["Results under disturbances", table(head, body, { class: "plain", "data-part": "robustness" })]);
   }
   if (ranges?.disturbances.length) {
