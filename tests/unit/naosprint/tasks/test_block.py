@@ -73,11 +73,10 @@ def test_every_shot_goes_in_unless_it_is_stopped() -> None:
     assert ends["fallen"].sum() <= 2
 
 
-def test_the_walker_saves_shots_that_come_slowly() -> None:
-    """A training that starts from its policy begins with saves."""
-    easy = {"shot_speed_max_mps": 3.5, "shot_angle_max_deg": 20.0, "astray_m": 0.1}
-    ends = outcomes(environment_of(32, walker="t1-run-wide", shot_distance_max_m=5.0, handover_states=32, **easy))
-    assert ends["saved"].mean() > 0.4
+def test_the_walker_saves_shots() -> None:
+    """A training that starts from its policy begins with saves: of about half of the shots."""
+    ends = outcomes(environment_of(64, walker="t1-run-wide", handover_states=32))
+    assert 0.3 < ends["saved"].mean() < 0.7
     assert ends["fallen"].mean() < 0.1
 
 

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
 
-HOME_M = 0.4
+HOME_M = 1.0
 """Distance before the goal line at which a keeper waits, metres."""
 
 CALM_S = 1.5
