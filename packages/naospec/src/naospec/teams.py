@@ -8,7 +8,12 @@ from dataclasses import dataclass
 TEAM_FILE = "team.json"
 EXAMPLE = "example"
 """Name of the team of the example player with bundled skills."""
-SKILLS = {"walk": ("velocity", "t1-run"), "kick": ("kick", "t1-kick"), "getup": ("getup", "t1-getup-robust")}
+SKILLS = {
+    "walk": ("velocity", "t1-run"),
+    "kick": ("kick", "t1-kick"),
+    "keep": ("block", "t1-keeper"),
+    "getup": ("getup", "t1-getup-robust"),
+}
 """Skills of the example player: the task of its policy and the bundled policy that it is by default."""
 ROBOT = "t1"
 """Robot of the example player."""

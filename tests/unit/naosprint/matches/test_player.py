@@ -115,3 +115,41 @@ def test_the_ball_goes_into_the_goal_or_before_it(
     place(player, (0.0, 0.0), 0.0, ball)
     assert np.degrees(player.aim()) == pytest.approx(aim_deg, abs=1e-6)
     assert np.hypot(*player.shot()) == pytest.approx(distance_m, abs=1e-3)
+
+
+def test_a_keeper_keeps_shots_at_its_goal_only(code: Any) -> None:
+    """And neither balls that pass the goal, nor those that lie or roll away, nor from beside the goal."""
+    keeper = code.Player(code.FOLDER, "A", 1, 3)
+    world = keeper.world
+    keeper.mode = world.mode = "PlayOn"
+    world.side = 1.0
+    shots = (
+        ((-26.5, 0.0), (-20.0, 1.0), (-4.0, -0.5), True),
+        ((-26.5, 0.0), (-20.0, 1.0), (-4.0, 3.0), False),  # passes the goal
+        ((-26.5, 0.0), (-20.0, 1.0), (0.0, 0.0), False),
+        ((-26.5, 0.0), (-20.0, 1.0), (4.0, 0.0), False),
+        ((-20.0, 0.0), (-14.0, 1.0), (-4.0, 0.0), False),
+    )
+    for robot, ball, velocity, comes in shots:
+        place(keeper, robot, 0.0, ball)
+        world.velocity = np.array(velocity)
+        assert keeper.shot_comes() == comes, (robot, ball, velocity)
+    place(keeper, (-26.5, 0.0), 0.0, (-20.0, 1.0))
+    world.velocity = np.array((-4.0, 0.0))
+    keeper.play()
+    assert keeper.active is keeper.keep
+    for _ in range(code.CALM_CYCLES - 1):
+        world.velocity = np.zeros(2)
+        assert not keeper.shot_is_over()
+    assert keeper.shot_is_over()
+
+
+def test_a_ball_that_the_referee_moves_has_no_velocity(code: Any, player: Any) -> None:
+    world = player.world
+    world.angles, world.position, world.rotation = np.zeros(len(player.joints)), np.array([0.0, 0.0, 0.6]), np.eye(3)
+    for meters in (4.0, 3.9, 3.8, 14.0):
+        world.now += 2 * CYCLE_S
+        world.see(f"(B (pol {meters} 0 -5))")
+        if meters == 3.8:
+            assert world.velocity[0] < -0.5
+    np.testing.assert_array_equal(world.velocity, 0.0)

@@ -48,10 +48,23 @@ def test_a_launch_stops_where_it_is_aimed_at() -> None:
     np.testing.assert_allclose(np.cos(found - direction), 1.0, atol=1e-5)
 
 
+def test_a_power_kick_is_aimed_nearer_to_the_axis_than_its_point() -> None:
+    """Since it swerves toward a diagonal, which balls along an axis or a diagonal do not."""
+    directions = np.radians([0.0, 20.0, -20.0, 45.0, 110.0])
+    turned = np.degrees(directions - rolling.power_aim(directions))
+    np.testing.assert_allclose(turned[[0, 3]], 0.0, atol=0.5)
+    assert 2.0 < turned[1] < 6.0
+    np.testing.assert_allclose(turned[[2, 4]], [-turned[1], turned[1]])
+
+
 def test_a_launch_passes_what_it_is_aimed_at() -> None:
     """In the exact engine, although balls swerve by up to a metre on their way."""
-    speed, ahead, aside = np.array([(4.0, 6.0, 2.5), (6.0, 9.0, -6.0), (3.0, 3.0, 2.0), (5.0, 8.0, 0.5)]).T
-    direction = rolling.aim(speed, ahead, aside)
+    shots = [(4.0, 6.0, 2.5), (6.0, 9.0, -6.0), (3.0, 3.0, 2.0), (5.0, 8.0, 0.5)]
+    shots += [(3.0, 4.0, 3.0), (5.0, 9.0, -5.0)]
+    slides = np.arange(6) >= 4
+    speed, ahead, aside = np.array(shots).T
+    direction = rolling.aim(speed, ahead, aside, slides)
+    speed[slides] *= rolling.SLIDES
     n = len(speed)
     simulator = MujocoSimulator(T1, n, scene=Scene(ball=True))
     simulator.load_starts(Starts(T1.nominal[None], (0.0, 8.0)))
@@ -59,6 +72,7 @@ def test_a_launch_passes_what_it_is_aimed_at() -> None:
     simulator.start(rows, np.zeros(n, dtype=np.int64))
     velocity = np.stack([speed * np.cos(direction), speed * np.sin(direction), 0.0 * speed], axis=1)
     spin = np.stack([-velocity[:, 1], velocity[:, 0], 0.0 * speed], axis=1) / RADIUS
+    spin[slides] = 0.0
     simulator.place_ball(rows, np.tile((0.0, -4.0, RADIUS), (n, 1)), velocity, spin)
     ball, targets, passed = simulator.truth.bodies[BALL], np.tile(T1.nominal, (n, 1)), np.full(n, np.nan)
     while np.isnan(passed).any():
@@ -69,5 +83,6 @@ def test_a_launch_passes_what_it_is_aimed_at() -> None:
         crosses = (before[:, 0] < ahead) & (now[:, 0] >= ahead)
         share = (ahead - before[:, 0]) / (now[:, 0] - before[:, 0])
         passed[crosses] = (before[:, 1] + share * (now[:, 1] - before[:, 1]) + 4.0)[crosses]
-    np.testing.assert_allclose(passed, aside, atol=0.12)
+    np.testing.assert_allclose(passed[~slides], aside[~slides], atol=0.12)
+    np.testing.assert_allclose(passed[slides], aside[slides], atol=0.3)
     assert np.abs(np.tan(direction[:3]) * ahead[:3] - aside[:3]).max() > 0.3  # straight they would have missed

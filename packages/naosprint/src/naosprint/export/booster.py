@@ -56,4 +56,5 @@ def arrays(robot: Robot, simulator: SimulatorSettings) -> dict[str, AnyArray]:
 def kick_arrays(task: KickSettings) -> dict[str, AnyArray]:
     """Return how to launch a ball so that it stops at a point, and when the walker takes over."""
     names = ("launch_distances_m", "launch_directions", "launch_speeds", "launch_aims")
-    return {**dict(zip(names, rolling.launches(), strict=True)), "takeover_steps": np.array(task.takeover_steps)}
+    launches = dict(zip(names, rolling.launches(), strict=True))
+    return {**launches, "power_aims": rolling.power_aims(), "takeover_steps": np.array(task.takeover_steps)}

@@ -17,11 +17,12 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 from typing_extensions import TypeVar
 
+from naosprint.tasks import rolling
 from naosprint.tasks.base import Task
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen
-from naosprint.tasks.handover import HandOver, record
+from naosprint.tasks.handover import HandOver, joined, record
 from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings
 from naosprint.tasks.robot_defaults import robot_defaults
@@ -70,6 +71,13 @@ class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings):
         title="Walker",
         description="Bundled policy that approaches the ball, and takes over after a kick; left out: the robot's own. "
         "The task observes at least as many earlier steps as this policy.",
+    )
+    entry_policies: tuple[PlainName, ...] = Field(
+        default=(),
+        max_length=7,
+        title="Entry policies",
+        description="Bundled walking policies with whose states episodes begin, too, as often as with the walker's: "
+        "from another one's steps a policy may fall.",
     )
     handover_states: int = Field(
         default=1024,
@@ -163,6 +171,8 @@ class BallTask(Task[Settings], Generic[Settings]):
                 "settings with which it does, such as onboard_sensing=false"
             )
         walker = chosen(parameters.walker, "task.walker", robot.name, Velocity.name)
+        for name in parameters.entry_policies:
+            chosen(name, "task.entry_policies", robot.name, Velocity.name)
         remembered = max(parameters.history_steps, bundled(robot.name, Velocity.name)[walker])
         settings = parameters.model_copy(update={"walker": walker, "history_steps": remembered})
         return with_min_height(settings, robot, defaults.fall_height_m)
@@ -303,7 +313,9 @@ class BallTask(Task[Settings], Generic[Settings]):
 
     def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
         """Record the states of the walker that episodes begin with, and return a pose to replace by them."""
-        settings = self.parameters
+        settings, known = self.parameters, bundled(self.robot.name, Velocity.name)
+        walkers = [self._walker, *map(FrozenPolicy, settings.entry_policies)]
+        states = min(settings.handover_states, 4 * count) // len(walkers)
         walk = VelocitySettings(
             name=Velocity.name,
             start_noise_deg=noise_deg,
@@ -315,10 +327,12 @@ class BallTask(Task[Settings], Generic[Settings]):
             stand_fraction=0.2,
             command_steps=100,
             episode_steps=100_000,
-            history_steps=bundled(self.robot.name, Velocity.name)[self._walker.name],
         )
-        states = min(settings.handover_states, 4 * count)
-        return self.enter(record(self.world.simulator, self._walker, Velocity, walk, states, seed))
+        recorded = []
+        for walker in walkers:
+            observing = walk.model_copy(update={"history_steps": known[walker.name]})
+            recorded.append(record(self.world.simulator, walker, Velocity, observing, states, seed))
+        return self.enter(joined(recorded))
 
     def enter(self, states: HandOver) -> Starts:
         """Begin episodes with these states, and return a pose to replace by them."""
@@ -343,10 +357,12 @@ class BallTask(Task[Settings], Generic[Settings]):
         aside: FloatArray,
         velocity: FloatArray | None = None,
         way: FloatArray | None = None,
+        slides: BoolArray | None = None,
     ) -> None:
         """Put the ball (k,) metres ahead and aside of robots with (k,) headings, at rest or rolling.
 
-        A rolling ball has (k,) speeds, in (k,) directions that are counted from the headings.
+        A rolling ball has (k,) speeds, in (k,) directions that are counted from the headings. One of the (k,) that
+        slide has no spin yet, like one that was kicked, and is as much faster as sliding will cost it.
         """
         torso, zero = self.world.position(rows)[:, :2], np.zeros_like(heading)
         cosine, sine = np.cos(heading), np.sin(heading)
@@ -364,6 +380,9 @@ class BallTask(Task[Settings], Generic[Settings]):
             return
         moves = np.stack([velocity * np.cos(heading + way), velocity * np.sin(heading + way), zero], axis=1)
         spin = np.stack([-moves[:, 1], moves[:, 0], zero], axis=1) / self._radius
+        if slides is not None:
+            moves[slides] *= rolling.SLIDES
+            spin[slides] = 0.0
         self.world.place_ball(rows, ball, moves, spin)
 
     def _last_step(self, row: int) -> dict[str, AnyArray]:

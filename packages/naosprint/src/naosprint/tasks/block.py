@@ -59,7 +59,7 @@ SPEEDS_MPS = (3.0, 4.0, 5.0, 6.0)
 _AWAY = -0.1  # velocity out of the goal above which a ball no longer comes nearer, m/s
 _COMES = 0.3  # speed toward the goal from which a ball is followed, m/s
 _BEYOND = 1.3  # a shot would roll this many times as far as the goal
-_INSIDE_M = 0.2  # distance of a shot's target from the posts' inner sides
+_INSIDE_M = 0.25  # distance of a shot's target from the posts' inner sides
 _REACH_M = 2.0  # largest distances that are observed
 _SOON_S = 2.0  # longest time to a crossing that is observed
 _NEAR_M = 0.25  # distance of the crossing from the torso at which the reward for it has fallen to 1/e
@@ -132,6 +132,14 @@ class BlockSettings(BallSettings):
         description="Largest angle of the ball's place from straight before the goal.",
         json_schema_extra={"unit": "deg"},
     )
+    sliding_fraction: float = Field(
+        default=0.5,
+        ge=0.0,
+        le=1.0,
+        title="Sliding shots",
+        description="Fraction of the shots that slide at first, as kicked balls do, and are faster by 7/5 until they "
+        "roll.",
+    )
     astray_m: float = Field(
         default=0.3,
         ge=0.0,
@@ -153,6 +161,32 @@ class BlockSettings(BallSettings):
         title="Cover weight",
         description="Reward per step for standing where the ball comes.",
     )
+
+
+def draw_shot(
+    settings: BlockSettings, half_m: float, draw: FloatArray, slides: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return (k,) angles and distances of balls from the middle of a goal, and the speeds and directions of the shots.
+
+    Angles are radians, counted from the way out of the goal, which leads along an axis of the field.
+
+    Args:
+        settings: where shots come from, and how fast.
+        half_m: half the width of the goal, metres.
+        draw: (4, k) random numbers from 0 to 1.
+        slides: (k,) shots that slide at first.
+    """
+    angle = np.radians(settings.shot_angle_max_deg) * (2.0 * draw[0] - 1.0)
+    low, high = settings.shot_distance_min_m, settings.shot_distance_max_m
+    distance = low + (high - low) * draw[1]
+    # to a point between the posts, fast enough to get there
+    target = (half_m - _INSIDE_M) * (2.0 * draw[2] - 1.0)
+    needed = rolling.launch(_BEYOND * distance, np.zeros_like(distance))[0]
+    slowest = np.minimum(np.maximum(settings.shot_speed_min_mps, needed), settings.shot_speed_max_mps)
+    speed = slowest + (settings.shot_speed_max_mps - slowest) * draw[3]
+    # it rolls against the way out, to whose left the goal's right is
+    way = np.pi + rolling.aim(speed, distance * np.cos(angle), distance * np.sin(angle) - target, slides)
+    return angle, distance, speed, way
 
 
 class Block(BallTask[BlockSettings]):
@@ -284,28 +318,19 @@ class Block(BallTask[BlockSettings]):
     def place(self, rows: IntArray) -> None:
         """Draw state and shot, and put the robot into the state before its goal, and the ball on its way."""
         settings, goal = self.parameters, self.robot.field.goal
-        draw = uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 8).T
+        draw = uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 9).T
         self._draws[rows] += 1
+        slides = draw[8] < settings.sliding_fraction
+        angle, distance, speed, way = draw_shot(settings, 0.5 * goal.width_m, draw[1:5], slides)
         # the goal opens along +x; the robot faces roughly the ball
-        angle = np.radians(settings.shot_angle_max_deg) * (2.0 * draw[1] - 1.0)
-        low, high = settings.shot_distance_min_m, settings.shot_distance_max_m
-        distance = low + (high - low) * draw[2]
-        self._put(rows, draw[0], 0.5 * angle + 0.3 * (2.0 * draw[3] - 1.0))
+        self._put(rows, draw[0], 0.5 * angle + 0.3 * (2.0 * draw[5] - 1.0))
         self._aim[rows] = 0.0
         place = np.stack([HOME_M * np.cos(angle), HOME_M * np.sin(angle)], axis=1)
-        place += settings.astray_m * (2.0 * draw[4:6].T - 1.0)
-        place[:, 0] = np.maximum(place[:, 0], 0.15)
+        place += settings.astray_m * (2.0 * draw[6:8].T - 1.0)
         self._goal[rows] = self.world.position(rows)[:, :2] - place
-        # a shot from the ball to a point between the posts, fast enough to get there
-        ahead, aside = distance * np.cos(angle) - place[:, 0], distance * np.sin(angle) - place[:, 1]
-        target = (0.5 * goal.width_m - _INSIDE_M) * (2.0 * draw[6] - 1.0)
-        needed = rolling.launch(_BEYOND * distance, np.zeros(len(rows)))[0]
-        slowest = np.minimum(np.maximum(settings.shot_speed_min_mps, needed), settings.shot_speed_max_mps)
-        speed = slowest + (settings.shot_speed_max_mps - slowest) * draw[7]
-        # it rolls along -x, whose left is -y
-        way = np.pi + rolling.aim(speed, distance * np.cos(angle), distance * np.sin(angle) - target)
         self._shot[rows] = np.stack([speed, distance], axis=1)
-        self._put_ball(rows, np.zeros(len(rows)), ahead, aside, speed, way)
+        ahead, aside = distance * np.cos(angle) - place[:, 0], distance * np.sin(angle) - place[:, 1]
+        self._put_ball(rows, np.zeros(len(rows)), ahead, aside, speed, way, slides)
 
     def handed_over(self, row: int) -> dict[str, AnyArray]:
         """Return what an exported skill is given when it begins: where the goal is, and the walker's last step."""

@@ -65,6 +65,15 @@ class HandOver:
         world.set_motion(rows, _turned(chosen, places[:, 2], places[:, :2]))
 
 
+def joined(several: Sequence[HandOver]) -> HandOver:
+    """Return the states of several policies as one."""
+    return HandOver(
+        _together([each.motion for each in several]),
+        np.concatenate([each.actions for each in several]),
+        np.concatenate([each.velocity for each in several]),
+    )
+
+
 def record(
     simulator: Simulator, policy: FrozenPolicy, task: type[Task], settings: TaskSettings, count: int, seed: int
 ) -> HandOver:
@@ -165,10 +174,7 @@ def record_lying(
 
 def _assembled(kept: Sequence[_State]) -> HandOver:
     """Return states as arrays, turned to +x and moved to the origin."""
-    parts = {
-        each.name: np.concatenate([getattr(motion, each.name) for motion, *_ in kept]) for each in fields(kept[0][0])
-    }
-    motion = RobotMotion(**parts)
+    motion = _together([motion for motion, *_ in kept])
     back = -_yaw(motion.torso_wxyz)
     home = replace(motion, torso_m=motion.torso_m * (0.0, 0.0, 1.0))
     return HandOver(
@@ -185,6 +191,12 @@ def _moments(numbers: IntArray, seed: int) -> IntArray:
         for k in range(STATES_PER_RUN)
     ]
     return np.stack(moments, axis=1).astype(np.int64)
+
+
+def _together(motions: Sequence[RobotMotion]) -> RobotMotion:
+    return RobotMotion(
+        **{each.name: np.concatenate([getattr(motion, each.name) for motion in motions]) for each in fields(motions[0])}
+    )
 
 
 def _chosen(motion: RobotMotion, states: IntArray) -> RobotMotion:

@@ -274,11 +274,11 @@ class Kick(BallTask[KickSettings]):
     def _launched(target: FloatArray, power: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Return speed and direction with which a ball has to roll off to stop at (k, 2) directions and distances.
 
-        A power kick goes straight at its point: it passes it before it swerves.
+        A power kick passes through a point in that direction on its way, wherever it stops.
         """
         speed, aim = rolling.launch(target[:, 1], target[:, 0])
         straight = rolling.launch(target[:, 1], np.zeros(len(target)))[0]
-        return np.where(power, straight, speed), np.where(power, target[:, 0], aim)
+        return np.where(power, straight, speed), np.where(power, rolling.power_aim(target[:, 0]), aim)
 
     def handed_over(self, row: int) -> dict[str, AnyArray]:
         """Return what an exported skill is given when its kick begins: target, and the walker's last step."""

@@ -17,10 +17,15 @@ import numpy as np
 from naosprint.terms import Number, interpolated
 
 if TYPE_CHECKING:
-    from naosprint.arrays import FloatArray, IntArray
+    from naosprint.arrays import BoolArray, FloatArray, IntArray
+
+SLIDES = 7.0 / 5.0
+"""Speed of a ball without spin, as a multiple of that with which it rolls once it no longer slides."""
 
 _QUARTER = np.pi / 2.0
 _ROUNDS = 50  # the distance grows with the speed to the power 1.5 to 2, so each brings the speed closer
+_POWER_MPS, _POWER_PASSES_M = 4.0, 7.0
+_TURNS = 0.028  # largest turn of a ball while it slides, radians
 _PATH_S, _PATH_STEPS, _PATH_M, _PATH_DEG = 0.02, 250, 12.0, 80.0  # of the table of paths
 _DIFFERENCE_MPS, _DIFFERENCE = 0.2, np.radians(4.0)  # for derivatives of the stops
 _TABLE = Path(__file__).with_name("ball_data") / "rolls.json"
@@ -78,29 +83,48 @@ def launch(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, F
     return _between(speeds, row, column), axis + np.sign(aside) * _between(aims, row, column)
 
 
-def aim(speed: FloatArray, ahead_m: FloatArray, aside_m: FloatArray) -> FloatArray:
-    """Return the (k,) directions in which balls have to roll off to pass (k,) points, radians, 80 degrees at most.
+def aim(speed: FloatArray, ahead_m: FloatArray, aside_m: FloatArray, slides: BoolArray | None = None) -> FloatArray:
+    """Return the (k,) directions in which to launch balls so that they pass (k,) points, radians, 80 degrees at most.
 
     Directions are counted from an axis of the field, along which a point is ``ahead_m`` and to whose left ``aside_m``
     metres away.
 
     Args:
-        speed: (k,) speeds of the rolling balls, with which they get there, m/s.
+        speed: (k,) speeds with which the balls roll, and get there, m/s.
         ahead_m: (k,) distances along the axis, up to 12.
         aside_m: (k,) distances to the left of it.
+        slides: (k,) balls that slide at first, faster by `SLIDES`, and meanwhile turn to a diagonal; by default none.
     """
     speeds, directions, lines, passed = paths()
-    target = np.abs(aside_m)
-    row, line = _place(speeds, speed), _place(lines, ahead_m)
+    row, line, target = _place(speeds, speed), _place(lines, ahead_m), np.abs(aside_m)
     direction = np.arctan2(target, ahead_m)
     for _ in range(8):
         column = _place(directions, direction)
-        found = (1.0 - line[1]) * _between(passed, row, column, line[0]) + line[1] * _between(
-            passed, row, column, line[0] + 1
-        )
-        target = target + np.abs(aside_m) - found
+        near, far = (_between(passed, row, column, line[0] + i) for i in (0, 1))
+        target = target + np.abs(aside_m) - ((1.0 - line[1]) * near + line[1] * far)
         direction = np.arctan2(np.maximum(target, 0.0), ahead_m)
+    if slides is not None:
+        direction = direction - slides * _TURNS * np.sin(4.0 * direction)
     return np.sign(aside_m) * direction
+
+
+def power_aim(direction: FloatArray) -> FloatArray:
+    """Return the directions in which to kick balls as far as possible so that they pass points in (k,) directions.
+
+    All directions are radians, counter-clockwise from the field's +x axis. The points are 7 m away and the balls as
+    fast as kicks of a T1, which slide at first.
+    """
+    axis = np.round(direction / _QUARTER) * _QUARTER
+    aside = direction - axis
+    return np.asarray(axis + np.sign(aside) * np.interp(np.abs(aside), launches()[1], power_aims()))
+
+
+@cache
+def power_aims() -> FloatArray:
+    """Return `power_aim` of the directions of `launches`."""
+    directions = launches()[1]
+    speed, slides = np.full_like(directions, _POWER_MPS), np.ones(len(directions), dtype=np.bool_)
+    return aim(speed, _POWER_PASSES_M * np.cos(directions), _POWER_PASSES_M * np.sin(directions), slides)
 
 
 @cache

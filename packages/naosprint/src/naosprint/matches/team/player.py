@@ -1,10 +1,10 @@
-"""A soccer player on rcssservermj: walks behind the ball, kicks it at the goal, gets up after falls. Needs only NumPy.
+"""A soccer player on rcssservermj: kicks the ball at the goal, keeps its own, gets up after falls. Needs only NumPy.
 
     python player.py HOST PORT TEAM NUMBER [PLAYERS]
 
-Beside this file are the exported skills walk.npz, kick.npz and getup.npz and runner.py, which runs them. The player
-uses nothing but what its robot sees, feels and hears from teammates. Everything is in metres, radians and seconds on
-the team's own field: the team plays in the direction of +x, whatever side it has.
+Beside this file are the exported skills walk.npz, kick.npz, keep.npz and getup.npz and runner.py, which runs them. The
+player uses nothing but what its robot sees, feels and hears from teammates. Everything is in metres, radians and
+seconds on the team's own field: the team plays in the direction of +x, whatever side it has.
 """
 
 import base64
@@ -33,9 +33,13 @@ HOMES = {
     6: (-10.0, -8.0),
     7: (-14.0, 1.5),
 }
+FASTEST_MPS = 12.0  # of a ball that is not moved by the referee
 LYING_M, UPRIGHT = 0.45, 0.6  # height of the torso, upward part of its z axis
 KICK_AHEAD_M, KICK_ASIDE_M, KICK_AIM = (0.38, 0.85), 0.2, np.radians(25)
 KICK_CYCLES, STAND_CYCLES, SEARCH_S = 130, 15, 1.0
+KEEPER_M, KEEP_CYCLES, CALM_CYCLES = 1.0, 400, 50  # how far before its goal the keeper waits
+SHOT_MPS, SHOT_S, WIDE_M = 1.0, 4.0, 2.5  # a ball as fast, which is at the goal line as soon and no farther aside
+AT_GOAL_M, FACES = (2.0, 2.5), np.radians(45)  # the keeper's place and direction in which it can keep
 BEHIND_M = 0.75  # how far behind the ball the striker turns to it
 AROUND, AROUND_STEP = 0.35, 0.9  # this far from right behind it, the striker walks around it, by so much at a time
 LOOK_DOWN, LOOK_AHEAD = 0.6, 0.25  # pitch of the head
@@ -117,8 +121,11 @@ class Memory:
         self.seen = None if ball is None else np.array(ball.groups(), float)
         if self.seen is not None:
             place, since = self.in_field(self.seen), self.now - self.ball_at
-            velocity = (place - self.ball) / max(since, CYCLE_S) if since < 0.3 else np.zeros(2)
-            self.velocity = self.velocity + 0.3 * (velocity - self.velocity)
+            velocity = (place - self.ball) / max(since, CYCLE_S)
+            if since < 0.3 and np.hypot(*velocity) < FASTEST_MPS:
+                self.velocity = self.velocity + 0.3 * (velocity - self.velocity)
+            else:  # another moment, or the referee has moved it
+                self.velocity = np.zeros(2)
             self.ball, self.ball_at = place, self.now
         for team, number, *polar in ROBOT.findall(message):
             self.robots[team == self.team, int(number)] = (self.in_field(np.array(polar, float)), self.now)
@@ -158,13 +165,14 @@ class Player:
 
     def __init__(self, folder, team, number, players):
         self.number, self.players = number, players
-        self.walk, self.kick, self.getup = (Runner(folder / f"{name}.npz") for name in ("walk", "kick", "getup"))
+        skills = ("walk", "kick", "keep", "getup")
+        self.walk, self.kick, self.keep, self.getup = (Runner(folder / f"{name}.npz") for name in skills)
         names = [name.replace("e", "j") for name in map(str, self.walk.effector_names)]
         self.joints = ["q_" + name for name in names]
         self.world = Memory(team, number, self.kick.camera_m)
         self.active, self.command, self.since, self.stood = self.walk, np.zeros(3), 0, 0
         self.rest, self.mode, self.taker, self.taken_at = 0, "", None, -1e9
-        self.settling, self.cycles = 0, 2 * number
+        self.settling, self.cycles, self.calm = 0, 2 * number, 0
         self.searched, self.turn = -1, 1.0
 
     # --- what to do -----------------------------------------------------------------------------------------------
@@ -202,6 +210,9 @@ class Player:
         elif self.active is self.kick and (self.kick.kicked or self.since > KICK_CYCLES):
             self.change(self.walk, after=self.kick)
             self.rest = STAND_CYCLES
+        elif self.active is self.keep and self.shot_is_over():
+            self.change(self.walk, after=self.keep)
+            self.rest = STAND_CYCLES
         elif self.active is self.walk and self.rest == 0:
             self.play()
         return beam + self.act()
@@ -220,6 +231,9 @@ class Player:
             self.command = np.zeros(3)
         elif world.now - world.ball_at > SEARCH_S:
             self.search()
+        elif self.number == 1 and self.players > 1 and self.shot_comes():
+            self.calm = 0
+            self.change(self.keep, after=self.walk, target=-GOAL)
         elif world.ours < 0:
             self.keep_away()
         elif self.is_striker():
@@ -242,7 +256,7 @@ class Player:
         behind = ahead - BEHIND_M * turned(self.aim())
         cost = np.hypot(*(behind - place)) - (0.5 if number == self.number else 0.0)
         if number == 1 and self.players > 1 and np.hypot(*(world.ball + GOAL)) > 9.0:
-            cost += 100.0
+            cost += TOUCHED
         if number == self.taker and world.now - self.taken_at < 12.0:
             cost += TOUCHED  # who takes a set piece must not be the next to touch the ball
         return cost
@@ -316,8 +330,25 @@ class Player:
         """Stand between the ball and the goal."""
         world = self.world
         way = world.ball + GOAL
-        target = -GOAL + min(2.5, 0.3 * np.hypot(*way)) * way / max(np.hypot(*way), 0.1)
-        self.go(target, angle_of(world.ball - world.position[:2]), near=0.4)
+        target = -GOAL + min(KEEPER_M, 0.3 * np.hypot(*way)) * way / max(np.hypot(*way), 0.1)
+        self.go(target, angle_of(world.ball - world.position[:2]), near=0.3)
+
+    def shot_comes(self):
+        """Return whether the ball comes fast to the goal, and the keeper stands before it."""
+        world = self.world
+        to_line, place = world.ball[0] + GOAL[0], np.abs(world.position[:2] + GOAL)
+        comes = to_line > 0 and -world.velocity[0] > max(SHOT_MPS, to_line / SHOT_S) and world.now - world.ball_at < 0.1
+        if not comes or (place > AT_GOAL_M).any() or abs(world.yaw) > FACES:
+            return False
+        return abs(world.ball[1] - world.velocity[1] * to_line / world.velocity[0]) < WIDE_M
+
+    def shot_is_over(self):
+        """Return whether the ball has not come nearer for a while."""
+        world = self.world
+        seen = world.now - world.ball_at < 0.1
+        comes = seen and -world.velocity[0] > 0.3 and world.ball[0] > -GOAL[0]
+        self.calm = 0 if comes else self.calm + 1
+        return self.calm >= CALM_CYCLES or self.since > KEEP_CYCLES
 
     def keep_away(self):
         """Stay where the referee leaves opponents of a set piece on the field."""
@@ -389,7 +420,7 @@ class Player:
             self.sent = self.command
         if skill is self.walk:
             more["command"] = self.sent
-        elif skill is self.kick:
+        elif skill in (self.kick, self.keep):
             more["ball"] = world.seen
         seen = skill.observe(world.position, world.quaternion, world.gyro, world.angles, world.speeds, **more)
         targets = skill.act(seen)
@@ -406,7 +437,7 @@ class Player:
     def look(self):
         """Return yaw and pitch of the head: to the ball, or around if it is not in view."""
         world = self.world
-        if self.active is self.kick:
+        if self.active in (self.kick, self.keep):
             return 0.0, LOOK_DOWN
         way = world.ball - world.position[:2]
         if world.now - world.ball_at > 0.5:

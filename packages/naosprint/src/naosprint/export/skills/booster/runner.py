@@ -55,9 +55,9 @@ class Runner:
         self.target, (self.aimed["aim"], reach) = target, target
         if self.kicks:
             power = self.aimed["power"] = not np.isfinite(reach)
-            # balls swerve toward the field's diagonals: the launch of a pass differs from its direction
+            # balls swerve toward the field's diagonals: a launch differs from the kick's direction
             speed, aim = self.launch(POWER_M, 0.0) if power else self.launch(reach, target[0])
-            self.aimed.update(launch_speed=speed, aim=target[0] if power else aim)
+            self.aimed.update(launch_speed=speed, aim=self.power_aim(target[0]) if power else aim)
         else:
             self.aimed["speed"] = reach
 
@@ -75,6 +75,12 @@ class Runner:
             return float((1 - t) * rows[0, 0] + t * rows[0, 1])
 
         return between(self.launch_speeds), axis + np.sign(direction - axis) * between(self.launch_aims)
+
+    def power_aim(self, direction):
+        """Return the direction in which to kick as far as possible so that the ball passes a point in a direction."""
+        axis = np.round(direction / (np.pi / 2)) * np.pi / 2
+        aside = direction - axis
+        return axis + np.sign(aside) * np.interp(abs(aside), self.launch_directions, self.power_aims)
 
     @property
     def kicked(self):
