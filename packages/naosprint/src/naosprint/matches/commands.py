@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 REPORT, FILM = "report", "film"
-_TEAM_HELP = "'example', 'example:walk=POLICY,kick=POLICY,getup=POLICY', or a folder with team.json"
+_TEAM_HELP = "'example', 'example:walk=POLICY,kick=POLICY,keep=POLICY,getup=POLICY', or a folder with team.json"
 
 
 def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:

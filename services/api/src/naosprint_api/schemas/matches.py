@@ -20,8 +20,8 @@ class MatchCreate(WorkCreate):
     """Match to play."""
 
     teams: tuple[TeamText, TeamText] = Field(
-        description="Both teams: `example`, `example:walk=POLICY,kick=POLICY,getup=POLICY` with bundled or registered "
-        "policies in place of some, or the name of an uploaded team."
+        description="Both teams: `example`, `example:walk=POLICY,kick=POLICY,keep=POLICY,getup=POLICY` with bundled or "
+        "registered policies in place of some, or the name of an uploaded team."
     )
     games: int = Field(20, ge=1, le=MAX_GAMES, description="Games; the sides are swapped from game to game.")
     players: int = Field(3, ge=1, le=MAX_PLAYERS, description="Players of each team.")
