@@ -17,6 +17,7 @@ from naosim.simulator import STEP_S, RuntimeOptions, Starts
 
 from naosprint.tasks import get
 from naosprint.tasks.ball import BallTask
+from naosprint.tasks.block import SAVE, Block
 from naosprint.tasks.dribble import Dribble
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.falls import FALL
@@ -47,7 +48,7 @@ LYING = "lying"
 _PUSH_MPS, _PUSH_STEPS = 4.0, 25
 _MEASURED = 50  # steps over which the velocity is averaged, one second
 _SETTLED = round(SETTLED_S / STEP_S)
-_LIMITS = {Kick: 250, GetUp: round(LIMIT_S / STEP_S) + HOLD_STEPS}  # steps of a transition, where it takes longer
+_LIMITS = {Kick: 250, Block: 600, GetUp: round(LIMIT_S / STEP_S) + HOLD_STEPS}  # steps, where it takes longer
 _PARALLEL = 64
 _ENTRY_NUMBER = 5_000  # of the first episode of a transition: none of a recording has such a number
 
@@ -106,7 +107,7 @@ def skills(robot: str, chosen: Mapping[str, str] = {}) -> tuple[Skill, ...]:  # 
             raise ValueError(f"{policy}: no bundled policy of robot {robot} for task {task}; there are: {fitting}")
     policies = {
         task: chosen.get(task) or next(iter(bundled(robot, task)), "")
-        for task in (Velocity.name, Kick.name, Dribble.name, GetUp.name)
+        for task in (Velocity.name, Kick.name, Dribble.name, Block.name, GetUp.name)
     }
     if not policies[Velocity.name]:
         raise ValueError(f"--robot: {robot} has no bundled policy for task {Velocity.name}, which connects skills")
@@ -115,7 +116,7 @@ def skills(robot: str, chosen: Mapping[str, str] = {}) -> tuple[Skill, ...]:  # 
     commands |= {"sideways": _velocity(0.0, sideways=0.4), "turn": _velocity(0.3, turn=0.8)}
     return (
         *(Skill(name, walker, settings) for name, settings in commands.items()),
-        *(Skill(task, policies[task]) for task in (Kick.name, Dribble.name, GetUp.name) if policies[task]),
+        *(Skill(task, policies[task]) for task in policies if task != Velocity.name and policies[task]),
     )
 
 
@@ -271,6 +272,8 @@ def _followed(environment: _Entered, skill: Skill, rows: IntArray, first: int) -
             moved += (task.velocity[:, :2] - task.command[:, :2]) / _MEASURED
         if isinstance(task, Kick):
             done |= active & task.touched
+        elif isinstance(task, Block):
+            done |= active & environment.ends[SAVE.name]
         elif isinstance(task, GetUp):
             done |= active & task.skill_over(slice(0, n))
         active &= ~(environment.terminated | environment.lost)

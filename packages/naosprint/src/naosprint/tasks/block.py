@@ -61,6 +61,7 @@ _COMES = 0.3  # speed toward the goal from which a ball is followed, m/s
 _BEYOND = 1.3  # a shot would roll this many times as far as the goal
 _INSIDE_M = 0.25  # distance of a shot's target from the posts' inner sides
 _REACH_M = 2.0  # largest distances that are observed
+_OVER_S = 1.0
 _SOON_S = 2.0  # longest time to a crossing that is observed
 _NEAR_M = 0.25  # distance of the crossing from the torso at which the reward for it has fallen to 1/e
 _SHARE = 0.3  # share of a new velocity in the perceived velocity of the ball
@@ -76,6 +77,9 @@ SAVED = Metric(
     "rate",
 )
 CONCEDED = Metric("conceded_rate", "Goals against", "%", "Fraction of the shots that go in.", 1, "lower", "rate")
+SAVE = End("saved", "Save")
+"""The end of a shot that is saved."""
+
 STOPPED = Metric("stopped_rate", "Touched", "%", "Fraction of the shots that the robot touches.", 1, "higher", "rate")
 
 
@@ -200,7 +204,7 @@ class Block(BallTask[BlockSettings]):
     summary = "Stop shots at the goal, and stay on one's feet."
     Parameters = BlockSettings
     metrics = (SAVED, CONCEDED, STOPPED, FALL_RATE)
-    ends = (FALL, End("conceded", "Goal against", failure=True), End("saved", "Save"))
+    ends = (FALL, End("conceded", "Goal against", failure=True), SAVE)
     trace = ("ball_x", "ball_y", "touched", "speed", "distance")
     presentation = Presentation(
         skill="Keep goal",
@@ -337,6 +341,10 @@ class Block(BallTask[BlockSettings]):
         return {"target": self._goal[row].copy(), **self._last_step(row)}
 
     # steps
+
+    def skill_over(self, rows: slice | IntArray) -> BoolArray:
+        """Return in which robots the ball has not come nearer for a second, after which a player walks on."""
+        return np.asarray(self._calm[rows] >= _OVER_S / STEP_S)
 
     def _follow(self) -> list[Store]:
         """Return what is measured of a step: where the ball is, falls and ends."""
