@@ -152,6 +152,9 @@ class BallTask(Task[Settings], Generic[Settings]):
     velocity_share: ClassVar[float]
     """Share of a new velocity in that of the ball which is expected, an average over sights."""
 
+    standing: ClassVar[float] = 0.2
+    """Fraction of the states that episodes begin with in which the walker is commanded to stand."""
+
     scene = Scene(ball=True)
     needs = frozenset({Ability.MOVING})
 
@@ -324,7 +327,7 @@ class BallTask(Task[Settings], Generic[Settings]):
             sideways_max_mps=0.3,
             turn_max_rad_s=0.5,
             straight_fraction=0.4,
-            stand_fraction=0.2,
+            stand_fraction=self.standing,
             command_steps=100,
             episode_steps=100_000,
         )

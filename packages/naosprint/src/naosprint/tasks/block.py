@@ -221,6 +221,7 @@ class Block(BallTask[BlockSettings]):
     )
     horizon_is_terminal = True
     velocity_share = _SHARE
+    standing = 0.6
 
     def __init__(self, parameters: BlockSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)

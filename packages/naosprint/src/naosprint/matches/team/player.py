@@ -33,7 +33,7 @@ HOMES = {
     6: (-10.0, -8.0),
     7: (-14.0, 1.5),
 }
-FASTEST_MPS = 12.0  # of a ball that is not moved by the referee
+FASTEST_MPS, KICKED_MPS = 12.0, 1.5  # speed of a ball that no referee moves, and change of speed by a kick
 LYING_M, UPRIGHT = 0.45, 0.6  # height of the torso, upward part of its z axis
 KICK_AHEAD_M, KICK_ASIDE_M, KICK_AIM = (0.38, 0.85), 0.2, np.radians(25)
 KICK_CYCLES, STAND_CYCLES, SEARCH_S = 130, 15, 1.0
@@ -123,7 +123,8 @@ class Memory:
             place, since = self.in_field(self.seen), self.now - self.ball_at
             velocity = (place - self.ball) / max(since, CYCLE_S)
             if since < 0.3 and np.hypot(*velocity) < FASTEST_MPS:
-                self.velocity = self.velocity + 0.3 * (velocity - self.velocity)
+                change = velocity - self.velocity  # noise, or a kick
+                self.velocity = self.velocity + (0.3 if np.hypot(*change) < KICKED_MPS else 1.0) * change
             else:  # another moment, or the referee has moved it
                 self.velocity = np.zeros(2)
             self.ball, self.ball_at = place, self.now
