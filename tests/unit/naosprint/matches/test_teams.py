@@ -36,7 +36,7 @@ def test_an_example_names_its_skills(tmp_path: Path) -> None:
     assert skills_of("example:walk=t1-run-robust")["walk"] == "t1-run-robust"
     assert skills_of("example")["kick"] == "t1-kick"
     for wrong in ("example:fly=t1-run", "example:walk"):
-        with pytest.raises(ValueError, match="expected one of walk, kick, getup"):
+        with pytest.raises(ValueError, match="expected one of walk, kick, keep, getup"):
             skills_of(wrong)
     with pytest.raises(ValueError, match="no such folder"):
         find_team(str(tmp_path / "none"), tmp_path)

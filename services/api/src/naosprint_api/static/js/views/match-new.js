@@ -75,7 +75,11 @@ export async function newMatch(signal) {
       "form",
       { class: "stack", onsubmit: submit },
       list,
-      field("Team A", teams[0], "example, example:walk=POLICY,kick=POLICY,keep=POLICY,getup=POLICY, or an uploaded team."),
+      field(
+        "Team A",
+        teams[0],
+        "example, example:walk=POLICY,kick=POLICY,keep=POLICY,getup=POLICY, or an uploaded team.",
+      ),
       field("Team B", teams[1]),
       h(
         "div",
