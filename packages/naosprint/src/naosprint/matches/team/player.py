@@ -328,11 +328,11 @@ class Player:
         self.go(np.clip(target, (-24.0, -16.0), (20.0, 16.0)), angle_of(world.ball - world.position[:2]), near=0.6)
 
     def keep_goal(self):
-        """Stand between the ball and the goal."""
+        """Stand between the ball and the goal, and face halfway to the ball: steps to the side have to stop it."""
         world = self.world
         way = world.ball + GOAL
         target = -GOAL + min(KEEPER_M, 0.3 * np.hypot(*way)) * way / max(np.hypot(*way), 0.1)
-        self.go(target, angle_of(world.ball - world.position[:2]), near=0.3)
+        self.go(target, 0.5 * angle_of(way), near=0.3)
 
     def shot_comes(self):
         """Return whether the ball comes fast to the goal, and the keeper stands before it."""
