@@ -30,7 +30,7 @@ def test_a_match_from_the_form_to_its_film(browser: Browser, token: str, client:
     browser.picture(pictures / "match-form.png")
     browser.js("document.querySelector('#match-film').value = 'all'")
     browser.find("dialog button[type=submit]").click()
-    browser.shows("expected one of walk, kick, getup", "dialog")
+    browser.shows("expected one of walk, kick, keep, getup", "dialog")
     browser.allowed.append("422")
 
     browser.set("#match-team-b", "example:walk=t1-run-robust")

@@ -262,7 +262,7 @@ def test_a_repeated_request_makes_one_match(client: httpx.Client) -> None:
     ("body", "field", "words"),
     [
         ({"teams": ["example", "nobody"]}, "teams.1", "no team 'nobody'; use one of example"),
-        ({"teams": ["example:fly=t1-run", "example"]}, "teams.0", "expected one of walk, kick, getup"),
+        ({"teams": ["example:fly=t1-run", "example"]}, "teams.0", "expected one of walk, kick, keep, getup"),
         ({"teams": ["example:walk=t1-kick", "example"]}, "teams.0", "use one for task velocity and robot t1"),
         ({"teams": ["example:walk=gone@3", "example"]}, "teams.0", "there is no policy 'gone'"),
         ({"teams": ["example"]}, "teams", ""),

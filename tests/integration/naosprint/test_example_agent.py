@@ -189,39 +189,45 @@ def entered(address: Address, text: str) -> Iterator[None]:
             pass
 
 
+def run_on(address: Address, path: Path, team: str, number: int) -> tuple[int, str, str]:
+    """Run the example agent beside the field's middle."""
+    return played(AGENT.name, path, address.host, address.agent_port, address.monitor_port, team, number, -4)
+
+
 def test_a_run_that_did_not_happen_on_rcssservermj_is_one_sentence(tmp_path: Path) -> None:
-    """Names that no server can read, a number that is taken, a play mode without beams; other names are runs."""
+    """Names that no server can read, a number that is taken; other names are runs."""
     _, path = exported("t1", tmp_path, 0.3)
     with serving(REALTIME) as address:
-
-        def run(team: str, number: int) -> tuple[int, str, str]:
-            return played(AGENT.name, path, address.host, address.agent_port, address.monitor_port, team, number, -4)
-
-        status, out, err = run("gr\u00fcn", 2)
-        assert (status, bool(RESULT.fullmatch(out))) == (0, True), (out, err)
-        status, out, err = run("two words", 2)
+        status, out, err = run_on(address, path, "two words", 2)
         assert (status, out) == (1, "")
         assert err == "no run: team 'two words': a name without spaces and parentheses is needed\n"
         with entered(address, "(init T1 gr\u00fcn 3)"):
-            status, out, err = run("gr\u00fcn", 3)
+            status, out, err = run_on(address, path, "gr\u00fcn", 3)
         assert (status, out, err.count("\n")) == (1, "", 1), err
         assert err.startswith("no run: refused: is number 3 of team gr\u00fcn taken")
+    with serving(REALTIME) as address:  # another one: a connection that ends may end the server
+        status, out, err = run_on(address, path, "gr\u00fcn", 2)
+        assert (status, bool(RESULT.fullmatch(out))) == (0, True), (out, err)
+    status, out, err = run_on(address, path, "ours", 2)
+    assert (status, out, err.count("\n")) == (1, "", 1), err
+    assert err.startswith("no run: [Errno"), err
+
+
+@pytest.mark.parametrize("example", ["run_policy_t1.py", "play_t1.py"])
+def test_a_run_in_a_play_mode_without_beams_is_one_sentence(example: str, tmp_path: Path) -> None:
+    _, path = exported("t1", tmp_path, 0.3)
+    with serving(REALTIME) as address:
+        # which stays until the run is over: a connection that ends may end the server
         with socket.create_connection((address.host, address.monitor_port)) as monitor:
             monitor.recv(1)
             monitor.sendall((14).to_bytes(4, "big") + b"(kickOff Left)")
-            monitor.shutdown(socket.SHUT_WR)
-            while monitor.recv(1 << 16):
-                pass
-        status, out, err = run("gr\u00fcn", 2)
+            if example == AGENT.name:
+                place, (status, out, err) = "(-14.0, -4.0)", run_on(address, path, "gr\u00fcn", 2)
+            else:
+                ports = ("--ports", address.agent_port, address.monitor_port)
+                place, (status, out, err) = "(-5.0, 0.0)", played(example, path, "--host", address.host, *ports)
         assert (status, out, err.count("\n")) == (1, "", 1), err
-        assert "not at (-14.0, -4.0), in play mode KickOff_Left; it can be beamed in BeforeKickOff" in err
-        ports = ("--ports", address.agent_port, address.monitor_port)
-        status, out, err = played("play_t1.py", path, "--host", address.host, *ports)
-        assert (status, out, err.count("\n")) == (1, "", 1), err
-        assert "not at (-5.0, 0.0), in play mode KickOff_Left" in err
-    status, out, err = run("ours", 2)
-    assert (status, out, err.count("\n")) == (1, "", 1), err
-    assert err.startswith("no run: [Errno"), err
+        assert f"not at {place}, in play mode KickOff_Left; it can be beamed in BeforeKickOff" in err
 
 
 def test_a_run_that_did_not_happen_on_naosim_serve_is_one_sentence(tmp_path: Path) -> None:
