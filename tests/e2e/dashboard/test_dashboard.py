@@ -751,6 +751,7 @@ def test_the_bundled_policies_are_listed_with_their_results(browser: Browser, to
         "Follow a velocity",
         "Stand up",
         "Dribble",
+        "Keep goal",
         "Kick",
     ]
     assert browser.text("#top nav a[aria-current=page]") == "Policies"
