@@ -15,26 +15,21 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from naosprint.matches.agents import AgentProcess, Limits
-from naosprint.matches.game import GameMonitor, half_launcher
-from naosprint.matches.stream import PLAY_MODES, Frame
+from drill import BALL_M, PLAY_ON, Drill
 from naosprint.matches.teams import Team, find_team
 from naosprint.tasks import rolling
 from naosprint.tasks.block import CALM_S, BlockSettings, draw_shot
 from naosprint.tasks.statistics import wilson
 from numpy.typing import NDArray
 
-GOAL_X, GOAL_HALF_M, BALL_M = -27.5, 1.83, 0.11
-SHOTS_A_SERVER, HALF_S = 20, 300.0
-AWAY_M, WAIT_S, LIMIT_S, PATIENCE_S = 14.0, 4.0, 10.0, 120.0
-TORSO_M, UPRIGHT_M = 0.6735, 0.45
-PLAY_ON = PLAY_MODES.index("PlayOn")
-STILL_M = 0.002  # way towards the goal between two frames from which a ball comes nearer
+GOAL_X, GOAL_HALF_M = -27.5, 1.83
+SHOTS_A_SERVER = 20
+AWAY_M, WAIT_S, LIMIT_S, UPRIGHT_M = 14.0, 4.0, 10.0, 0.45
+STILL_M = 0.002  # way toward the goal between two frames from which a ball comes nearer
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,7 @@ def _goes_in(before: NDArray[np.float64], ball: NDArray[np.float64]) -> bool:
     return bool(abs(ball[1] + share * (ball[1] - before[1])) < GOAL_HALF_M)
 
 
-class Keeping:
+class Keeping(Drill):
     """A server with one player, who keeps the left goal.
 
     Args:
@@ -78,39 +73,25 @@ class Keeping:
     """
 
     def __init__(self, team: Team, *, empty: bool) -> None:
+        super().__init__(team, "keeper", 1, 3)
         self._empty = empty
-        self._server = half_launcher(0, HALF_S).start()
-        self._monitor = GameMonitor(self._server, time.monotonic() + PATIENCE_S)
-        self._frame = self._next()
-        self._agent = AgentProcess(team, "keeper", 1, 3, self._server.address, Limits())
-        while not self._frame.bodies:
-            self._frame = self._next()
-
-    def close(self) -> None:
-        """End server and player."""
-        self._monitor.close()
-        self._server.stop()
-        self._agent.stop()
 
     def play(self, shot: Shot) -> tuple[bool, bool]:
         """Return whether the ball was kept out, and whether the robot was on its feet then."""
         self._wait(1.0)  # after a goal the player takes its place at the kick-off
-        while self._frame.mode != PLAY_ON:
-            self._monitor.send("(kickOff Right)")
-            self._wait(0.2)
-            self._monitor.send("(dropBall)")
-            self._wait(0.2)
+        self._play_on()
         self._monitor.send(f"(ball {shot.place(AWAY_M)}(vel 0 0 0))")
         x, y = (GOAL_X - 2.0, 12.0) if self._empty else (GOAL_X + 1.0, 0.5 * shot.angle)
-        yaw = np.degrees(0.5 * shot.angle)
-        self._monitor.send(f"(agent (unum 1)(team keeper)(move {x:.3f} {y:.3f} {TORSO_M} {yaw:.1f}))")
+        self._move(x, y, np.degrees(0.5 * shot.angle))
         self._wait(WAIT_S)
         self._monitor.send(shot.launch())
         self._wait(0.1)
         began, calm_since, before, ball = self._frame.time_s, None, self._frame.ball_m, self._frame.ball_m
         while self._frame.time_s < began + LIMIT_S:
             self._frame = self._next()
-            if self._frame.mode != PLAY_ON:  # the referee moves the ball, and counts no goal that nobody has touched
+            if (
+                self._frame.mode != PLAY_ON
+            ):  # a goal, too, is one only if somebody has touched the ball since the kick-off
                 return not _goes_in(before, ball), self._stands()
             before, ball = ball, self._frame.ball_m
             comes = ball[0] < before[0] - STILL_M
@@ -120,19 +101,7 @@ class Keeping:
         return True, self._stands()
 
     def _stands(self) -> bool:
-        (bodies,) = self._frame.bodies.values()
-        return bool(bodies[0, 3, 2] > UPRIGHT_M)
-
-    def _next(self) -> Frame:
-        frame = self._monitor.next(time.monotonic() + PATIENCE_S)
-        if PLAY_MODES[frame.mode] == "GameOver":
-            sys.exit("the half is over; play fewer shots on a server")
-        return frame
-
-    def _wait(self, seconds: float) -> None:
-        end_s = self._frame.time_s + seconds
-        while self._frame.time_s < end_s:
-            self._frame = self._next()
+        return self._torso_m() > UPRIGHT_M
 
 
 def main() -> int:

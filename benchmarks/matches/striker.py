@@ -13,14 +13,11 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from naosprint.matches.agents import AgentProcess, Limits
-from naosprint.matches.game import GameMonitor, half_launcher
-from naosprint.matches.stream import PLAY_MODES, Frame
+from drill import BALL_M, Drill
 from naosprint.matches.teams import Team, find_team
 from naosprint.tasks.statistics import wilson
 from numpy.typing import NDArray
@@ -32,11 +29,7 @@ FIELD_M = (27.5, 18.0)
 MARGIN_M, APART_M = 1.0, 0.6
 """Distance of ball and robot from the lines, and of the robot from the ball, at least."""
 
-STARTS_A_SERVER, HALF_S = 12, 300.0
-TORSO_M, BALL_M, LYING_M = 0.6735, 0.11, 0.4
-SETTLE_S, PATIENCE_S = 1.0, 120.0
-AFTER_GOAL = PLAY_MODES.index("Goal_Left")
-PLAY_ON = PLAY_MODES.index("PlayOn")
+STARTS_A_SERVER, LYING_M, SETTLE_S = 12, 0.4, 1.0
 
 
 @dataclass(frozen=True)
@@ -68,7 +61,7 @@ def draw(random: np.random.Generator) -> Start:
     return Start(ball, place(ball, APART_M), random.uniform(-180.0, 180.0))
 
 
-class Shooting:
+class Shooting(Drill):
     """A server with one player, who shoots on the right goal.
 
     Args:
@@ -76,31 +69,14 @@ class Shooting:
     """
 
     def __init__(self, team: Team) -> None:
-        self._server = half_launcher(0, HALF_S).start()
-        self._monitor = GameMonitor(self._server, time.monotonic() + PATIENCE_S)
-        self._frame = self._next()
-        self._agent = AgentProcess(team, "striker", 1, 1, self._server.address, Limits())
-        while not self._frame.bodies:
-            self._frame = self._next()
-
-    def close(self) -> None:
-        """End server and player."""
-        self._monitor.close()
-        self._server.stop()
-        self._agent.stop()
+        super().__init__(team, "striker", 1, 1)
 
     def play(self, start: Start) -> tuple[float | None, int]:
         """Return the seconds of play until the ball was in the goal, None if it was not, and the number of falls."""
         self._wait(SETTLE_S)  # after a goal the player takes its place at the kick-off
-        while self._frame.mode != PLAY_ON:
-            self._monitor.send("(kickOff Right)")  # who kicks off must not score with its first touch
-            self._wait(0.2)
-            self._monitor.send("(dropBall)")
-            self._wait(0.2)
+        self._play_on()
         ball, robot = start.ball, start.robot
-        self._monitor.send(
-            f"(agent (unum 1)(team striker)(move {robot[0]:.3f} {robot[1]:.3f} {TORSO_M} {start.yaw_deg:.1f}))"
-        )
+        self._move(*robot.tolist(), start.yaw_deg)
         self._monitor.send(f"(ball (pos {ball[0]:.3f} {ball[1]:.3f} {BALL_M})(vel 0 0 0))")
         self._wait(0.2)
         began, goals, falls, lay = self._frame.time_s, self._frame.score[0], 0, False
@@ -108,21 +84,9 @@ class Shooting:
             self._frame = self._next()
             if self._frame.score[0] > goals:
                 return self._frame.time_s - began, falls
-            (bodies,) = self._frame.bodies.values()
-            lies = bool(bodies[0, 3, 2] < LYING_M)
+            lies = self._torso_m() < LYING_M
             falls, lay = falls + (lies and not lay), lies
         return None, falls
-
-    def _next(self) -> Frame:
-        frame = self._monitor.next(time.monotonic() + PATIENCE_S)
-        if PLAY_MODES[frame.mode] == "GameOver":
-            sys.exit("the half is over; play fewer starts on a server")
-        return frame
-
-    def _wait(self, seconds: float) -> None:
-        end_s = self._frame.time_s + seconds
-        while self._frame.time_s < end_s:
-            self._frame = self._next()
 
 
 def main() -> int:
