@@ -125,21 +125,27 @@ def test_packages_of_ones_own_are_loaded_before_the_fork(probe: Path) -> None:
 
 
 WAYS = {"launch": forking.LAUNCH, "guard": forking.GUARD}
+SERVER = {"PATH": os.environ["PATH"], "LANG": "C.UTF-8", "OMP_NUM_THREADS": "1"}
+"""What launchers set for servers."""
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_script_that_starts_it_is_the_same(probe: Path, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One script becomes the program, the other one watches it."""
+@pytest.fixture
+def forked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The processes that templates fork in a test, in which programs of `probe` are servers."""
     monkeypatch.setattr(forking, "SERVERS", ("probe",))
     forked, fork = [], forking.Template.fork
     monkeypatch.setattr(forking.Template, "fork", lambda *all: forked.append(fork(*all)) or forked[-1])
+    return forked
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_script_that_starts_it_is_the_same(probe: Path, way: str, forked: list[int]) -> None:
+    """One script becomes the program, the other one watches it."""
 
     def started(module: str) -> tuple[int, dict[str, Any], str]:
         arguments = [str(os.getpid()), "9", "-"] if way == "launch" else [str(probe / "home"), "15"]
         command = [sys.executable, "-I", "-S", WAYS[way], *arguments, sys.executable, "-P", "-m", module]
-        environment = {"PATH": os.environ["PATH"], "LANG": "C.UTF-8", "PYTHONPATH": str(probe), "OMP_NUM_THREADS": "1"}
-        if way == "launch":
-            environment = {**os.environ, "PYTHONPATH": str(probe)}
+        environment = {**(os.environ if way == "launch" else SERVER), "PYTHONPATH": str(probe)}
         with subprocess.Popen(
             command, cwd=probe, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
         ) as process:
@@ -156,8 +162,7 @@ def test_a_script_that_starts_it_is_the_same(probe: Path, way: str, monkeypatch:
     assert len(forked) == 1
 
 
-def test_a_server_ends_with_its_guard(probe: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forking, "SERVERS", ("probe",))
+def test_a_server_ends_with_its_guard(probe: Path, forked: list[int]) -> None:
     command = [
         sys.executable,
         "-I",
@@ -170,10 +175,11 @@ def test_a_server_ends_with_its_guard(probe: Path, monkeypatch: pytest.MonkeyPat
         "probe",
         "wait",
     ]
-    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(probe)}
+    environment = {**SERVER, "PYTHONPATH": str(probe)}
     options: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "start_new_session": True}
     with subprocess.Popen(command, cwd=probe, env=environment, **options) as process:
         assert process.stdin is not None and process.stdout is not None
         assert json.loads(process.stdout.readline())["parent"] == process.pid
+        assert forked == [process.pid]
         process.kill()
         assert process.stdout.read() == b""  # the other end is closed: nothing of it runs

@@ -69,6 +69,14 @@ def test_a_dribble_is_interrupted_and_entered() -> None:
     assert cells["walk", "dribble"].upright >= 4
 
 
+def test_a_keeper_is_entered_from_a_walk_and_left_after_its_shot() -> None:
+    members = [skill(name) for name in ("walk", "block")]
+    cells = {(cell.before, cell.after): cell for cell in matrix(members, count=16, engine="fast", threads=1)}
+    assert cells["walk", "block"].succeeded >= 8
+    assert cells["block", "walk"].count >= 8  # after saves; others are goals, with which an episode ends
+    assert cells["block", "walk"].upright >= cells["block", "walk"].count - 2
+
+
 def test_who_does_not_follow_the_command_has_not_succeeded() -> None:
     """A walker stays upright whose command is faster than it can go."""
     fast = Skill("fast", "t1-run", {**skill("walk").settings, "forward_min_mps": 3.4, "forward_max_mps": 3.4})
