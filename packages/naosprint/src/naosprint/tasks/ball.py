@@ -318,7 +318,7 @@ class BallTask(Task[Settings], Generic[Settings]):
         """Record the states of the walker that episodes begin with, and return a pose to replace by them."""
         settings, known = self.parameters, bundled(self.robot.name, Velocity.name)
         walkers = [self._walker, *map(FrozenPolicy, settings.entry_policies)]
-        states = min(settings.handover_states, 4 * count) // len(walkers)
+        states = max(1, min(settings.handover_states, 4 * count) // len(walkers))
         walk = VelocitySettings(
             name=Velocity.name,
             start_noise_deg=noise_deg,

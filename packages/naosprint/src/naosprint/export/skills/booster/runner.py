@@ -9,7 +9,7 @@ except ModuleNotFoundError:
 
 ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
 POWER_M = 10.0  # commanded distance of a kick as far as possible
-GOAL_BEHIND_M = 0.4  # distance of a goal without a given place
+GOAL_BEHIND_M = 1.0  # distance of a goal without a given place: where keepers wait
 
 
 class Runner:
