@@ -140,6 +140,25 @@ def test_the_range_of_commands_grows_with_those_that_are_followed() -> None:
     assert (evaluated.command_growth, evaluated.command_ellipsoid) == (0.0, True)
 
 
+def test_commands_can_be_approached() -> None:
+    """What the policy observes moves towards the command by the accelerations; results are about the command itself."""
+    limits = {"forward_acceleration_mps2": 3.0, "turn_acceleration_rad_s2": 4.0}
+    environment, at_once = environment_of(8, **limits), environment_of(8)
+    task, most = task_of(environment), np.array([3.0, np.inf, 4.0]) * STEP_S
+    columns = [environment.observer.names.index(f"command_{name}") for name in ("forward", "sideways", "turn")]
+    np.testing.assert_array_equal(environment.observations[:, columns], 0.0)
+    reference = np.zeros((8, 3))
+    for action in gentle(environment, 100):
+        environment.step(action)
+        at_once.step(action)
+        reference += np.clip(task.command - reference, -most, most)
+        np.testing.assert_allclose(environment.observations[:, columns], reference, rtol=0.0, atol=1e-12)
+        np.testing.assert_array_equal(task.trace_row(np.arange(8))[:, 3:6], task.command)
+    np.testing.assert_array_equal(task.command, task_of(at_once).command)
+    np.testing.assert_array_equal(at_once.observations[:, columns], task.command)
+    assert (reference[:, 0] == task.command[:, 0]).any() and (reference[:, 0] != task.command[:, 0]).any()
+
+
 def test_commands_depend_on_the_seed_and_on_nothing_that_other_robots_do() -> None:
     """A robot's commands are the same alone in motion, among others, and for any own action."""
     first = environment_of(4)

@@ -19,6 +19,7 @@ from typing_extensions import TypeVar
 
 from naosprint.tasks import rolling
 from naosprint.tasks.base import Task
+from naosprint.tasks.commands import ACCELERATIONS
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen
@@ -316,7 +317,7 @@ class BallTask(Task[Settings], Generic[Settings]):
 
     def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
         """Record the states of the walker that episodes begin with, and return a pose to replace by them."""
-        settings, known = self.parameters, bundled(self.robot.name, Velocity.name)
+        settings = self.parameters
         walkers = [self._walker, *map(FrozenPolicy, settings.entry_policies)]
         states = max(1, min(settings.handover_states, 4 * count) // len(walkers))
         walk = VelocitySettings(
@@ -333,8 +334,8 @@ class BallTask(Task[Settings], Generic[Settings]):
         )
         recorded = []
         for walker in walkers:
-            observing = walk.model_copy(update={"history_steps": known[walker.name]})
-            recorded.append(record(self.world.simulator, walker, Velocity, observing, states, seed))
+            own = {name: getattr(walker.spec.task, name) for name in ("history_steps", *ACCELERATIONS)}
+            recorded.append(record(self.world.simulator, walker, Velocity, walk.model_copy(update=own), states, seed))
         return self.enter(joined(recorded))
 
     def enter(self, states: HandOver) -> Starts:

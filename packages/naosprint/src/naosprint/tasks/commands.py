@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from naosim.simulator import STEP_S
@@ -22,6 +22,23 @@ FIRST_RANGE = 0.3
 """Part of the commands' range with which growing begins."""
 
 _AVERAGED_S = 0.5  # the error of a command that ends is a mean whose weights fall to 1/e in this time
+
+
+ACCELERATIONS = ("forward_acceleration_mps2", "sideways_acceleration_mps2", "turn_acceleration_rad_s2")
+"""Settings of how fast a robot approaches a command."""
+
+
+def _acceleration(name: str, unit: str) -> Any:
+    return Field(
+        default=None,
+        gt=0.0,
+        le=100.0,
+        title=f"{name.capitalize()} acceleration",
+        description=f"How fast the {name} speed that a robot is to have now approaches the commanded one, from 0 at "
+        "the start of an episode. The policy observes that speed in place of the command. No robot changes its speed "
+        "at once; one that is rewarded for trying falls. Left out: commands apply at once.",
+        json_schema_extra={"unit": unit},
+    )
 
 
 class CommandSettings(TaskSettings):
@@ -87,6 +104,9 @@ class CommandSettings(TaskSettings):
         description="Whether commands that combine speeds stay within the ellipsoid of the three largest ones: what "
         "is drawn outside is shortened to it. Hardly any robot can turn, sidestep and run at its fastest at once.",
     )
+    forward_acceleration_mps2: float | None = _acceleration("forward", "m/s^2")
+    sideways_acceleration_mps2: float | None = _acceleration("sideways", "m/s^2")
+    turn_acceleration_rad_s2: float | None = _acceleration("turn", "rad/s^2")
     command_growth: float = Field(
         default=0.0,
         ge=0.0,
@@ -114,6 +134,11 @@ class CommandSettings(TaskSettings):
                 {"low": self.forward_min_mps, "high": self.forward_max_mps},
             )
         return self
+
+    @property
+    def accelerations(self) -> tuple[float | None, ...]:
+        """Accelerations of the forward, sideways and turning speed; None: the commanded one applies at once."""
+        return tuple(getattr(self, name) for name in ACCELERATIONS)
 
     def for_evaluation(self) -> Self:
         """Return the same settings with the whole range of commands from the start."""
@@ -148,6 +173,22 @@ def commanded(settings: CommandSettings, drawn: Number, scale: Number | None) ->
         moving = moving * scale
     straight = where(drawn[3] < settings.straight_fraction, stack(moving[0], 0.0, 0.0), moving)
     return where(drawn[4] < settings.stand_fraction, 0.0, straight)
+
+
+def approached(settings: CommandSettings, reference: Number, command: Number) -> Number:
+    """Return the velocity that a robot is to have in the next step.
+
+    Args:
+        settings: the accelerations.
+        reference: the velocity that it is to have now: forward, sideways and turning speed.
+        command: the velocity that it is to have in the end.
+    """
+    parts = []
+    for number, acceleration in enumerate(settings.accelerations):
+        missing = command[number] - reference[number]
+        most = (acceleration or 0.0) * STEP_S
+        parts.append(reference[number] + clip(missing, -most, most) if acceleration else command[number])
+    return stack(*parts)
 
 
 class CommandGrowth:

@@ -11,7 +11,7 @@ from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm, Task
-from naosprint.tasks.commands import SETTLING_S, CommandGrowth, CommandSettings, commanded
+from naosprint.tasks.commands import SETTLING_S, CommandGrowth, CommandSettings, approached, commanded
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import StoredNumbers
@@ -263,6 +263,8 @@ class Velocity(Task[VelocitySettings]):
     The command is a forward and a sideways speed in m/s, relative to the commanded heading, and a turn rate in rad/s,
     positive to the left. It is redrawn during the episode. The commanded heading begins as the torso's own and turns
     with the commanded rate; the commanded path begins where the torso is. Both begin again with every new command.
+    With accelerations among the settings the robot is to approach the command: it observes, and is rewarded for, the
+    velocity on the way, and results compare it with the command itself.
     """
 
     name = "velocity"
@@ -324,6 +326,9 @@ class Velocity(Task[VelocitySettings]):
         n = self.n
         self.max_steps = parameters.episode_steps
         self.command: FloatArray = np.zeros((n, 3))
+        eases = any(parameters.accelerations)
+        # the velocity that a robot is to have now, where it approaches the command
+        self._reference: FloatArray = np.zeros((n, 3)) if eases else self.command
         self.velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
         self._heading: FloatArray = np.zeros(n)
         self._heading_error: FloatArray = np.zeros(n)
@@ -343,6 +348,8 @@ class Velocity(Task[VelocitySettings]):
             "errors": self._errors,
             "advance": self._advance_m,
         }
+        if eases:
+            self.arrays["reference"] = self._reference
         self._growth = CommandGrowth(parameters, n) if parameters.command_growth else None
         if self._growth:
             self.arrays |= self._growth.arrays
@@ -352,9 +359,14 @@ class Velocity(Task[VelocitySettings]):
     def _stored(self, name: str) -> Number:
         return source(self.arrays[name], f"task.{name}")
 
+    @property
+    def _wanted(self) -> Number:
+        """The velocity that a robot is to have now."""
+        return self._stored("reference" if "reference" in self.arrays else "command")
+
     def _follow(self, min_height_m: float) -> list[Store]:
         """Return what measures a step against the command; ``resolve`` has filled in the minimum height."""
-        world, command, heading = self.world, self._stored("command"), self._stored("heading")
+        world, wanted, heading = self.world, self._wanted, self._stored("heading")
         position, before = world.true_position[:2], self._stored("position")
         yaw, yaw_before = world.true_yaw, self._stored("yaw")
         perceived, perceived_before = world.perceived("torso_pos")[:2], self._stored("perceived_position")
@@ -362,7 +374,7 @@ class Velocity(Task[VelocitySettings]):
         errors, advance = self._stored("errors"), self._stored("advance")
         moved = along(heading, position - before)
         forward = moved[0]
-        missed = velocity[:2] - command[:2]
+        missed = velocity[:2] - self._stored("command")[:2]
         # path and heading are observed, so they follow what the robot perceives
         aside = along(heading, perceived - perceived_before)[1]
         zero = constant(0.0)
@@ -370,8 +382,8 @@ class Velocity(Task[VelocitySettings]):
             Store(velocity, update=stack(moved, wrapped(yaw - yaw_before)) / STEP_S),
             Store(advance, begin=zero, update=advance + forward),
             Store(errors, begin=zero, update=errors + hypot(missed[0], missed[1])),
-            Store(offset, update=offset + aside - command[1] * STEP_S),
-            Store(heading, update=wrapped(heading + command[2] * STEP_S)),
+            Store(offset, update=offset + aside - wanted[1] * STEP_S),
+            Store(heading, update=wrapped(heading + wanted[2] * STEP_S)),
             Store(self._error, update=wrapped(seen_yaw(world) - heading)),
             Store(before, begin=position, update=position),
             Store(yaw_before, begin=yaw, update=yaw),
@@ -396,13 +408,25 @@ class Velocity(Task[VelocitySettings]):
         command, heading, offset = (self._stored(name) for name in ("command", "heading", "offset"))
         return [
             Store(fresh, update=chance < 1.0 / settings.command_steps),
-            *(self._growth.stores(command, source(self.velocity), fresh, source(self._fallen)) if self._growth else ()),
+            *(
+                self._growth.stores(self._wanted, source(self.velocity), fresh, source(self._fallen))
+                if self._growth
+                else ()
+            ),
             Store(command, begin=target, update=where(renewed, target, command)),
+            *self._approach(),
             Store(heading, begin=yaw, update=where(renewed, yaw, heading)),
             Store(self._error, begin=zero, update=where(renewed, 0.0, self._error)),
             Store(offset, begin=zero, update=where(renewed, 0.0, offset)),
             Store(draws, begin=draws + 1.0, update=draws + fresh),
         ]
+
+    def _approach(self) -> list[Store]:
+        """Return what brings the velocity that a robot is to have now nearer to the command, if that takes time."""
+        if "reference" not in self.arrays:
+            return []
+        reference, command = self._stored("reference"), self._stored("command")
+        return [Store(reference, begin=command * 0.0, update=approached(self.parameters, reference, command))]
 
     @property
     def _error(self) -> Number:
@@ -413,7 +437,7 @@ class Velocity(Task[VelocitySettings]):
         """Return the robot's usual observations without its heading in the world, and those of the command."""
         usual = blocks(self.world, [name for name in self.world.defaults.observations if name != "heading"])
         names = ("command_forward", "command_sideways", "command_turn")
-        command = ObservationBlock(names, self._stored("command"), signs=(1.0, -1.0, -1.0))
+        command = ObservationBlock(names, self._wanted, signs=(1.0, -1.0, -1.0))
         # named as in the sprint tasks, so that training can start from a policy that runs straight
         offset, error = clip(self._stored("offset"), -OFFSET_LIMIT_M, OFFSET_LIMIT_M), self._error
         names = ("line_offset", "heading_sin", "heading_cos")
@@ -428,21 +452,21 @@ class Velocity(Task[VelocitySettings]):
         """Return the tracking rewards and the penalties."""
         settings = self.parameters
 
-        command, velocity = self._stored("command"), source(self.velocity)
-        squared = total(square(velocity[:2] - command[:2]))
+        wanted, velocity = self._wanted, source(self.velocity)
+        squared = total(square(velocity[:2] - wanted[:2]))
         off = absolute(self._stored("offset"))
         # the Gaussian alone has no gradient for a robot that stands and should run at 2 m/s
         tracking = 0.5 * exp(squared * -1.0 / TRACKING_SCALE) + 0.5 / (1.0 + sqrt(squared))
         if settings.speed_weight:
-            tracking = tracking * (1.0 + settings.speed_weight * hypot(command[0], command[1]))
+            tracking = tracking * (1.0 + settings.speed_weight * hypot(wanted[0], wanted[1]))
         return (
             RewardTerm("track_velocity", 1.0, tracking),
             RewardTerm(
                 "track_turn",
                 settings.turn_weight,
-                exp(square(velocity[2] - command[2]) * -1.0 / TRACKING_SCALE),
+                exp(square(velocity[2] - wanted[2]) * -1.0 / TRACKING_SCALE),
             ),
-            RewardTerm("flight", settings.flight_weight, self.world.flight & (command[0] >= FLIGHT_SPEED_MPS)),
+            RewardTerm("flight", settings.flight_weight, self.world.flight & (wanted[0] >= FLIGHT_SPEED_MPS)),
             RewardTerm("path", -settings.path_penalty, minimum(off, OFFSET_LIMIT_M)),
             RewardTerm("heading", -settings.heading_penalty, 1.0 - cos(self._error)),
             RewardTerm("tilt", -settings.tilt_penalty, source(self._tilt)),
