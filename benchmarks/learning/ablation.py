@@ -3,9 +3,9 @@
     python benchmarks/learning/ablation.py WORKDIR --jobs 2    # hours of two cores
     python benchmarks/learning/ablation.py WORKDIR --only plot # draw again from ablation.json
 
-The policy of `t1-sprint`, which one floor and one delay have made fast, is trained for equally many steps in a disturbed
-world, three seeds for each variant: with all means, and with one of them other than in it. Every training has a core of
-its own. Trainings are stored in WORKDIR and are continued, not repeated, when the script is called again.
+The policy of `t1-sprint`, which one floor and one delay have made fast, is trained for equally many steps in a
+disturbed world, three seeds for each variant: with all means, and with one of them other than in it. Every training has
+a core of its own. Trainings are stored in WORKDIR and are continued, not repeated, when the script is called again.
 """
 
 from __future__ import annotations
