@@ -108,31 +108,32 @@ def table(runs: list[dict[str, Any]]) -> str:
 
 
 def plot(runs: list[dict[str, Any]]) -> None:
-    """Draw falls under every condition: a point for each seed, a bar for their mean."""
+    """Draw falls and top speed under every condition: a point for each seed, a bar for their mean."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     conditions = list(runs[0]["conditions"])
     variants = list(dict.fromkeys(run["variant"] for run in runs))
     palette = ("#1b8a6b", "#2c6fbb", "#8a6fb8", "#c2703d", "#555c65")
+    width = 0.8 / len(variants)
     with mpl.rc_context(figures.style()):
-        figure = Figure(figsize=(9.0, 4.4), layout="constrained")
-        axes = figure.subplots()
-        width = 0.8 / len(variants)
-        for number, variant in enumerate(variants):
-            at = np.arange(len(conditions)) + (number - (len(variants) - 1) / 2) * width
-            falls = np.array(
-                [
-                    [100.0 * run["conditions"][name]["fall_rate"] for run in runs if run["variant"] == variant]
-                    for name in conditions
-                ]
-            )
-            axes.bar(at, falls.mean(axis=1), 0.9 * width, color=palette[number], alpha=0.55, label=variant)
-            for seed in range(falls.shape[1]):
-                axes.plot(at, falls[:, seed], "o", ms=2.5, color=palette[number])
-        axes.set_xticks(np.arange(len(conditions)), [name.split(" (")[0] for name in conditions], rotation=20)
-        axes.set_ylabel("falls, %")
-        axes.legend(loc="upper left", fontsize=8.5)
+        figure = Figure(figsize=(9.0, 6.4), layout="constrained")
+        panels = figure.subplots(2, 1, sharex=True)
+        for axes, result, factor in zip(panels, RESULTS, (1.0, 100.0), strict=True):
+            for number, variant in enumerate(variants):
+                at = np.arange(len(conditions)) + (number - (len(variants) - 1) / 2) * width
+                members = [run["conditions"] for run in runs if run["variant"] == variant]
+                # None where every robot fell before its top speed could be measured
+                found = factor * np.array([[one[name][result] for one in members] for name in conditions], float)
+                height = [row[np.isfinite(row)].mean() if np.isfinite(row).any() else 0.0 for row in found]
+                axes.bar(at, height, 0.9 * width, color=palette[number], alpha=0.55, label=variant)
+                for seed in range(found.shape[1]):
+                    axes.plot(at, found[:, seed], "o", ms=2.5, color=palette[number])
+        panels[0].set_ylabel("top speed, m/s")
+        panels[1].set_ylabel("falls, %")
+        labels = [name.split(" (")[0] for name in conditions]
+        panels[1].set_xticks(np.arange(len(conditions)), labels, rotation=25, ha="right", rotation_mode="anchor")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8.5)
         figure.savefig(HERE / "ablation.svg", metadata={"Date": None})
         figure.savefig(HERE / "ablation.png", dpi=130)
 
@@ -141,8 +142,8 @@ def main() -> int:
     """Measure, write, print and draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("workdir", type=Path, help="directory for trainings; may be deleted afterwards")
-    parser.add_argument("--steps", type=int, default=4_000_000, help="of each training (default: %(default)s)")
-    parser.add_argument("--episodes", type=int, default=100, help="under each condition (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=7_000_000, help="of each training (default: %(default)s)")
+    parser.add_argument("--episodes", type=int, default=50, help="under each condition (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=2, help="trainings at a time, a core each (default: %(default)s)")
     parser.add_argument("--only", choices=["plot"], help="draw again what ablation.json contains")
     options = parser.parse_args()

@@ -19,7 +19,7 @@ from typing_extensions import TypeVar
 
 from naosprint.tasks import rolling
 from naosprint.tasks.base import Task
-from naosprint.tasks.commands import ACCELERATIONS
+from naosprint.tasks.commands import ACCELERATIONS, AccelerationSettings, approached
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen
@@ -61,7 +61,7 @@ FOOT_M = 0.106
 """Distance of a foot's line from the robot's, metres."""
 
 
-class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings):
+class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings, AccelerationSettings):
     """Settings of tasks with a ball."""
 
     ranges: ClassVar[tuple[tuple[str, str], ...]] = ()
@@ -178,7 +178,9 @@ class BallTask(Task[Settings], Generic[Settings]):
         for name in parameters.entry_policies:
             chosen(name, "task.entry_policies", robot.name, Velocity.name)
         remembered = max(parameters.history_steps, bundled(robot.name, Velocity.name)[walker])
-        settings = parameters.model_copy(update={"walker": walker, "history_steps": remembered})
+        trained = FrozenPolicy(walker).spec.task
+        own = {name: getattr(trained, name) for name in ACCELERATIONS if getattr(parameters, name) is None}
+        settings = parameters.model_copy(update={"walker": walker, "history_steps": remembered, **own})
         return with_min_height(settings, robot, defaults.fall_height_m)
 
     def __init__(self, parameters: Settings, world: World, seed: int = 0) -> None:
@@ -302,6 +304,11 @@ class BallTask(Task[Settings], Generic[Settings]):
         """Return what is stored of how the ball, if it is seen now, has moved in the seconds since the last sight."""
         del seen, moved, elapsed
         return []
+
+    def _command_walker(self, command: Number) -> Store:
+        """Return what stores the walker's command, which it approaches as in its own training."""
+        stored = self.stored("command")
+        return Store(stored, begin=command, update=approached(self.parameters, stored, command))
 
     @abstractmethod
     def _steer(self) -> list[Store]:

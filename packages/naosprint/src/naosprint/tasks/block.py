@@ -316,7 +316,7 @@ class Block(BallTask[BlockSettings]):
             [0.5, 1.0, 1.0],
         )
         command = where(self.stored("sightings") > 1.0, walk, 0.0)
-        return [Store(self.stored("command"), begin=command, update=command)]
+        return [self._command_walker(command)]
 
     # starts
 

@@ -36,12 +36,26 @@ def _acceleration(name: str, unit: str) -> Any:
         title=f"{name.capitalize()} acceleration",
         description=f"How fast the {name} speed that a robot is to have now approaches the commanded one, from 0 at "
         "the start of an episode. The policy observes that speed in place of the command. No robot changes its speed "
-        "at once; one that is rewarded for trying falls. Left out: commands apply at once.",
+        "at once; one that is rewarded for trying falls. Left out: commands apply at once, before a ball as in the "
+        "walker's training.",
         json_schema_extra={"unit": unit},
     )
 
 
-class CommandSettings(TaskSettings):
+class AccelerationSettings(TaskSettings):
+    """Settings of how fast a robot approaches a commanded velocity."""
+
+    forward_acceleration_mps2: float | None = _acceleration("forward", "m/s^2")
+    sideways_acceleration_mps2: float | None = _acceleration("sideways", "m/s^2")
+    turn_acceleration_rad_s2: float | None = _acceleration("turn", "rad/s^2")
+
+    @property
+    def accelerations(self) -> tuple[float | None, ...]:
+        """Accelerations of the forward, sideways and turning speed; None: the commanded one applies at once."""
+        return tuple(getattr(self, name) for name in ACCELERATIONS)
+
+
+class CommandSettings(AccelerationSettings):
     """Settings of tasks that command a velocity."""
 
     forward_min_mps: float = Field(
@@ -104,9 +118,6 @@ class CommandSettings(TaskSettings):
         description="Whether commands that combine speeds stay within the ellipsoid of the three largest ones: what "
         "is drawn outside is shortened to it. Hardly any robot can turn, sidestep and run at its fastest at once.",
     )
-    forward_acceleration_mps2: float | None = _acceleration("forward", "m/s^2")
-    sideways_acceleration_mps2: float | None = _acceleration("sideways", "m/s^2")
-    turn_acceleration_rad_s2: float | None = _acceleration("turn", "rad/s^2")
     command_growth: float = Field(
         default=0.0,
         ge=0.0,
@@ -134,11 +145,6 @@ class CommandSettings(TaskSettings):
                 {"low": self.forward_min_mps, "high": self.forward_max_mps},
             )
         return self
-
-    @property
-    def accelerations(self) -> tuple[float | None, ...]:
-        """Accelerations of the forward, sideways and turning speed; None: the commanded one applies at once."""
-        return tuple(getattr(self, name) for name in ACCELERATIONS)
 
     def for_evaluation(self) -> Self:
         """Return the same settings with the whole range of commands from the start."""
@@ -175,7 +181,7 @@ def commanded(settings: CommandSettings, drawn: Number, scale: Number | None) ->
     return where(drawn[4] < settings.stand_fraction, 0.0, straight)
 
 
-def approached(settings: CommandSettings, reference: Number, command: Number) -> Number:
+def approached(settings: AccelerationSettings, reference: Number, command: Number) -> Number:
     """Return the velocity that a robot is to have in the next step.
 
     Args:
@@ -183,6 +189,8 @@ def approached(settings: CommandSettings, reference: Number, command: Number) ->
         reference: the velocity that it is to have now: forward, sideways and turning speed.
         command: the velocity that it is to have in the end.
     """
+    if not any(settings.accelerations):
+        return command
     parts = []
     for number, acceleration in enumerate(settings.accelerations):
         missing = command[number] - reference[number]

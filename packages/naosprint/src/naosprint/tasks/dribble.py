@@ -319,7 +319,7 @@ class Dribble(BallTask[DribbleSettings]):
         command = where(self.stored("sightings") > 0.0, walk, 0.0)
         return [
             Store(line, begin=begun, update=begun),
-            Store(self.stored("command"), begin=command, update=command),
+            self._command_walker(command),
         ]
 
     # starts

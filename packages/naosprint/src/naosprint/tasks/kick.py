@@ -230,7 +230,7 @@ class Kick(BallTask[KickSettings]):
         command = where(approaching, walk, 0.0)
         return [
             Store(side, begin=chosen, update=chosen),
-            Store(self.stored("command"), begin=command, update=command),
+            self._command_walker(command),
             Store(source(self._walks), begin=constant(0.0), update=kicked >= self.parameters.takeover_steps),
         ]
 
