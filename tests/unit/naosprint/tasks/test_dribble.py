@@ -74,6 +74,25 @@ def test_a_line_begins_where_the_ball_is_seen() -> None:
     assert np.abs(task._aim).max() <= np.pi
 
 
+def test_the_walkers_command_is_approached() -> None:
+    """A line that turns changes it by no more than the accelerations."""
+    limits = {"forward_acceleration_mps2": 3.0, "sideways_acceleration_mps2": 2.0, "turn_acceleration_rad_s2": 4.0}
+    names = ("command_forward", "command_sideways", "command_turn")
+
+    def largest_changes(**settings: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+        environment = environment_of(8, line_steps=20, **settings)
+        walk(environment, 3)
+        found = []
+        for _ in range(60):
+            found.append(np.stack([seen(environment, name) for name in names]))
+            walk(environment)
+        return np.asarray(np.abs(np.diff(found, axis=0)).max(axis=(0, 2)))
+
+    most = np.array(list(limits.values())) * STEP_S
+    np.testing.assert_allclose(largest_changes(**limits), most, rtol=1e-9)
+    assert (largest_changes() > 2.0 * most).all()
+
+
 def test_what_is_drawn_does_not_depend_on_the_number_of_robots() -> None:
     few, many = environment_of(2, line_steps=10), environment_of(5, line_steps=10)
     for _ in range(20):
