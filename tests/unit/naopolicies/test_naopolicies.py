@@ -67,6 +67,15 @@ def test_unknown_name_lists_those_that_exist(tmp_path: Path) -> None:
     assert naopolicies.resolve(str(tmp_path)) == tmp_path
 
 
+def test_a_folder_called_like_a_policy_does_not_hide_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unless it is a checkpoint itself."""
+    monkeypatch.chdir(tmp_path)
+    Path("sprint").mkdir()
+    assert naopolicies.resolve("sprint") == naopolicies.folder("sprint")
+    Path("sprint", naopolicies.CHECKPOINT).touch()
+    assert naopolicies.resolve("sprint") == Path("sprint")
+
+
 @pytest.mark.parametrize("name", naopolicies.names())
 def test_a_card_describes_a_metric_once(name: str) -> None:
     """Results that tables and conditions repeat are stored without its words, and read with them."""

@@ -96,11 +96,13 @@ def checkpoint(name: str) -> dict[str, Any]:
 def resolve(text: str) -> Path:
     """Return the folder of a checkpoint that is given by its path, or by the name of a bundled policy.
 
+    A folder that only happens to be called like a bundled policy, as one of its recipe's training is, is none.
+
     Raises:
         ValueError: if it is neither.
     """
     path = Path(text)
-    if path.exists():
+    if path.exists() and (text not in names() or (path / CHECKPOINT).exists()):
         return path
     if text in names():
         return folder(text)
