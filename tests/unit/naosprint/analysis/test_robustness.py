@@ -44,7 +44,7 @@ def test_a_policy_is_examined_from_the_command_line(tmp_path: Path, capsys: pyte
         row["disturbance"]: next(each["value"] for each in row["results"] if each["name"] == "fall_rate")
         for row in written["robustness"]
     }
-    assert falls.keys() == CONDITIONS.keys()
+    assert falls.keys() == CONDITIONS.keys() - {"1 cm of noise on the ball"}  # which there is none of
     assert (falls["none"], falls["masses of bodies up to 10 % different"], falls["20 ms more delay"]) == (0.0, 0.0, 1.0)
     assert (tmp_path / "robustness.svg").read_text(encoding="utf-8").count("<svg") == 1
     assert main(["examine", "sprint", "--only", "pushes,motion", *arguments[:4]]) == 0

@@ -210,15 +210,63 @@ def test_balls_are_before_a_foot_or_somewhere_near() -> None:
     assert np.ptp(yaw) > 5.0
 
 
-def test_nothing_but_a_kick_looks_like_one() -> None:
-    """Neither a ball at rest, nor one that rolls and slows down, while the robot walks."""
-    for fraction in (0.0, 1.0):
-        environment = environment_of(32, rolling_fraction=fraction, aligned_fraction=0.0, ball_near_m=0.9)
-        task = task_of(environment)
-        for _ in range(25):
-            environment.step(task._walker.act(environment.observer, slice(0, 32)))
-            untouched = task._touched < 0
-            assert (task._kicked[untouched] < 0).all()
+EVENED = {"kicked_m": 0.07, "sight_share": 0.25}
+
+
+def approaching(rolling_fraction: float, **settings: float) -> Environment:
+    """Robots that walk to a ball out of their reach, for half a second."""
+    environment = environment_of(
+        32, rolling_fraction=rolling_fraction, aligned_fraction=0.0, ball_near_m=0.9, **settings
+    )
+    for _ in range(25):
+        environment.step(task_of(environment)._walker.act(environment.observer, slice(0, 32)))
+    return environment
+
+
+@pytest.mark.parametrize("settings", [{}, EVENED, {**EVENED, "ball_noise_m": 0.01}])
+@pytest.mark.parametrize("rolling_fraction", [0.0, 1.0])
+def test_nothing_but_a_kick_looks_like_one(rolling_fraction: float, settings: dict[str, float]) -> None:
+    """Neither a ball at rest, nor one that rolls and slows down, nor noise, while the robot walks."""
+    task = task_of(approaching(rolling_fraction, **settings))
+    untouched = task._touched < 0
+    assert untouched.sum() > 16 and (task._kicked[untouched] < 0).all()
+
+
+def test_noise_looks_like_a_kick_where_the_last_sight_is_taken_for_the_place() -> None:
+    assert (task_of(approaching(0.0, ball_noise_m=0.02))._kicked >= 0).sum() > 8
+
+
+def test_a_soft_kick_is_noticed_from_several_sights() -> None:
+    """A ball struck with 1.3 m/s moves by less than 7 cm between two sights."""
+    environment = approaching(0.0, **EVENED)
+    task, everyone, ball = task_of(environment), np.arange(32), environment.world.bodies[BALL]
+    away = np.stack([np.cos(task._aim), np.sin(task._aim), np.zeros(32)], axis=1)
+    environment.world.place_ball(everyone, ball.position.copy(), 1.3 * away, np.zeros((32, 3)))
+    for _ in range(12):
+        environment.step(task._walker.act(environment.observer, slice(0, 32)))
+    assert (task._kicked >= 0).mean() > 0.9
+
+
+def test_a_ball_is_seen_with_the_stated_noise() -> None:
+    """Off by as much in every direction, whatever the distance; every sight anew; not at all for undisturbed robots."""
+    seen = {}
+    for noise in (0.0, 0.02):
+        environment = environment_of(32, ball_noise_m=noise, undisturbed_fraction=0.5, takeover_steps=1000)
+        seen[noise] = []
+        for _ in range(40):
+            environment.step(np.zeros((32, environment.actuation.n_actions)))
+            seen[noise].append(environment.simulator.perceptors[BALL].copy())
+    exact, noisy = np.array(seen[0.0]), np.array(seen[0.02])
+    np.testing.assert_array_equal(np.isnan(exact), np.isnan(noisy))
+    off = noisy - exact
+    off[:, :, 1:] = np.radians(off[:, :, 1:]) * exact[:, :, :1]
+    disturbed = np.nanmax(np.abs(off), axis=(0, 2)) > 0.0
+    assert 8 <= disturbed.sum() <= 24
+    off = off[:, disturbed][~np.isnan(off[:, disturbed]).any(axis=2)]
+    assert len(off) > 200 and len(np.unique(off[:, 0])) > 0.9 * len(off)
+    np.testing.assert_allclose(off.std(axis=0), 0.02, rtol=0.15)
+    np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=0.004)
+    assert KickSettings(name="kick", ball_noise_m=0.01).for_evaluation().ball_noise_m == 0.0
 
 
 def test_a_score_prefers_straight_kicks_of_the_commanded_distance() -> None:

@@ -80,6 +80,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "none": {},
     **_SINGLE,
     "friction times 1.4": _friction(1.4),
+    "1 cm of noise on the ball": {"ball_noise_m": 0.01},
     "the first five at once": {key: value for settings in _SINGLE.values() for key, value in settings.items()},
 }
 """Settings of the task by the name of a condition under which policies are compared."""
@@ -203,7 +204,7 @@ def conditions(
     threads: int = 2,
     on_condition: Callable[[str], None] = lambda condition: None,
 ) -> list[dict[str, Any]]:
-    """Return the headline results under each of `CONDITIONS` that the robot's simulator can do.
+    """Return the headline results under each of `CONDITIONS` that the task has and the robot's simulator can do.
 
     Args:
         checkpoint: the policy.
@@ -211,8 +212,10 @@ def conditions(
         threads: threads of the simulator.
         on_condition: called before each condition.
     """
-    found = []
+    found, known = [], type(read_manifest(checkpoint).stage_spec.task).model_fields
     for name, settings in CONDITIONS.items():
+        if not settings.keys() <= known.keys():
+            continue  # the task has no ball, for example
         on_condition(name)
         try:
             summary = _evaluated(checkpoint, settings, episodes, threads)

@@ -20,7 +20,7 @@ from typing_extensions import TypeVar
 from naosprint.tasks import rolling
 from naosprint.tasks.base import Task
 from naosprint.tasks.commands import ACCELERATIONS, AccelerationSettings, approached
-from naosprint.tasks.disturbances import DisturbanceSettings
+from naosprint.tasks.disturbances import BallNoiseSettings, DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen
 from naosprint.tasks.handover import HandOver, joined, record
@@ -61,7 +61,7 @@ FOOT_M = 0.106
 """Distance of a foot's line from the robot's, metres."""
 
 
-class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings, AccelerationSettings):
+class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings, BallNoiseSettings, AccelerationSettings):
     """Settings of tasks with a ball."""
 
     ranges: ClassVar[tuple[tuple[str, str], ...]] = ()
@@ -284,7 +284,7 @@ class BallTask(Task[Settings], Generic[Settings]):
         seen, place = equal(self._age, 0.0), self._seen_at
         elapsed = maximum(unseen, 1.0) * STEP_S
         moved = place - sighted
-        share = where(sightings > 0.0, where(sightings > 1.0, self.velocity_share, 1.0), 0.0)
+        share = where(sightings > 0.0, where(sightings > 1.0, self._share_of_velocity(sightings), 1.0), 0.0)
         zero = constant(0.0)
         return [
             Store(unseen, begin=zero, update=unseen + 1.0),
@@ -299,6 +299,11 @@ class BallTask(Task[Settings], Generic[Settings]):
             Store(sightings, begin=seen, update=sightings + seen),
             Store(unseen, update=where(seen, 0.0, unseen)),
         ]
+
+    def _share_of_velocity(self, sightings: Number) -> Number:
+        """Return the share of a new velocity in the expected one, from the third sight on."""
+        del sightings
+        return constant(self.velocity_share)
 
     def _notice(self, seen: Number, moved: Number, elapsed: Number) -> list[Store]:
         """Return what is stored of how the ball, if it is seen now, has moved in the seconds since the last sight."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from naosim.simulator import Ability, Variation
+from naosim.simulator import BALL, Ability, Variation
 from naospec import TaskSettings
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 _STREAM = 0xD157
+_BALL_STREAM = 64  # after those of the perceptors in NOISE
+_NEAREST_BALL_M = 0.1
 
 NOISE = {
     "joint_angles": 0.5,
@@ -195,6 +197,24 @@ class DisturbanceSettings(TaskSettings):
         return super().for_evaluation().model_copy(update=ideal)
 
 
+class BallNoiseSettings(TaskSettings):
+    """Settings of tasks whose ball can be seen with noise."""
+
+    ball_noise_m: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        title="Noise on the ball",
+        description="Standard deviation of where a robot sees the ball, in each direction, besides the simulator's own "
+        "rounding.",
+        json_schema_extra={"unit": "m"},
+    )
+
+    def for_evaluation(self) -> Self:
+        """Return the same settings with a ball that is seen where it is."""
+        return super().for_evaluation().model_copy(update={"ball_noise_m": 0.0})
+
+
 _NAMES = tuple(name for name in DisturbanceSettings.model_fields if name not in TaskSettings.model_fields)
 
 
@@ -234,6 +254,7 @@ class Disturbances:
             for name in simulator.perceptors
             if settings.sensor_noise and name in NOISE
         }
+        self._ball_noise_m = settings.ball_noise_m if isinstance(settings, BallNoiseSettings) else 0.0
         self._world: FloatArray = np.ones((n, 2))  # factors of friction and gravity
         self._stiffness: FloatArray = np.ones((n, 1))  # factor of that of contacts
         self._acts: FloatArray = np.full((n, 1), float(self._least))  # the delay as an observation
@@ -244,7 +265,8 @@ class Disturbances:
             [np.zeros(n), self._strength], axis=1
         )  # episode and strength of the world
         self.arrays: dict[str, AnyArray] = {}
-        if settings.push_mps or self._noise:
+        self._counts = bool(settings.push_mps or self._noise or self._ball_noise_m)
+        if self._counts:
             self.arrays["count"] = self._count
         if self._most:
             self.arrays["waiting"] = self._waiting
@@ -393,7 +415,7 @@ class Disturbances:
     def apply(self, rows: slice) -> None:
         """Push some of the robots ``rows`` after a step, and add noise to what they perceive."""
         settings = self._settings
-        if not (settings.push_mps or self._noise):
+        if not self._counts:
             return
         self._count[rows] += 1
         streams, counts, disturbed = self._streams[rows], self._count[rows], self._disturbed[rows]
@@ -407,3 +429,10 @@ class Disturbances:
             values = self._simulator.perceptors[name][rows]
             noise = normal(self._seed + _STREAM + number, streams[disturbed], counts[disturbed], values.shape[1])
             values[disturbed] += deviation * self._strength[rows][disturbed, None] * noise
+        if self._ball_noise_m:
+            # a report is a distance and two angles, which are off by less the farther the ball is; NaN: none
+            report = self._simulator.perceptors[BALL][rows]
+            noise = normal(self._seed + _STREAM + _BALL_STREAM, streams[disturbed], counts[disturbed], 3)
+            off = self._ball_noise_m * self._strength[rows][disturbed, None] * noise
+            off[:, 1:] = np.degrees(off[:, 1:] / np.maximum(report[disturbed, :1], _NEAREST_BALL_M))
+            report[disturbed] += off

@@ -49,6 +49,7 @@ from naosprint.terms import (
     clip,
     constant,
     cos,
+    equal,
     exp,
     given,
     hypot,
@@ -73,9 +74,6 @@ if TYPE_CHECKING:
     from naosprint.tasks.episodes import Episodes, Statistics
     from naosprint.tasks.observations import Observer
 
-KICKED_M = 0.04
-"""Distance between the ball and where it was expected from which it counts as kicked, metres."""
-
 PLACED = (0.16, 0.04, np.radians(12.0))
 """Ball before the ankle, and spreads of its distance from the foot's line and of the foot's yaw, at a good touch."""
 
@@ -87,6 +85,7 @@ _SCORE_M = 6.5
 _POWER_M = 8.0
 _CALM = 0.2  # share of a new velocity in that which is expected
 _DISTANCE_SPREAD = 0.35  # of the logarithm of actual to commanded roll, at which a score has fallen to 1/e
+_TRACKED = 6.0  # sights before one in which a kick is noticed, where the path is evened out
 _STREAM = 0x61C
 
 
@@ -149,6 +148,8 @@ class Kick(BallTask[KickSettings]):
             "score": self._score,
             "launch": self._launch,
         }
+        if settings.sight_share < 1.0:
+            self.arrays["tracked"] = np.zeros((n, 2))  # where the ball is, evened out over sights
         self._walks: BoolArray = np.zeros(n, dtype=np.bool_)
         self.frozen = self._walks
         self._gain: FloatArray = np.zeros(n)
@@ -202,14 +203,29 @@ class Kick(BallTask[KickSettings]):
 
     # what the ball does, as it is perceived
 
+    def _share_of_velocity(self, sightings: Number) -> Number:
+        usual = super()._share_of_velocity(sightings)
+        # of a path that is evened out the first sights count alike
+        return maximum(usual, 1.0 / maximum(sightings, 1.0)) if "tracked" in self.arrays else usual
+
     def _notice(self, seen: Number, moved: Number, elapsed: Number) -> list[Store]:
         """Return what is stored of the kick: it is perceived when the ball has left the path that it was on."""
-        kicked, off = self.stored("kicked"), moved - self.stored("expected") * elapsed
-        surprise = hypot(off[0], off[1]) > KICKED_M + 0.3 * maximum(elapsed - 2 * STEP_S, 0.0)
-        now = seen & (self.stored("sightings") >= 2.0) & surprise & (kicked < 0.0)
+        settings, kicked, expected = self.parameters, self.stored("kicked"), self.stored("expected") * elapsed
+        off = moved - expected
+        tracking: list[Store] = []
+        if "tracked" in self.arrays:
+            tracked, place, first = self.stored("tracked"), self._seen_at, equal(self.stored("sightings"), 0.0)
+            off = place - tracked - expected
+            evened = where(first, place, tracked + expected + settings.sight_share * off)
+            # robots see the ball for the first time at the start, or later
+            tracking = [Store(tracked, begin=place, update=where(seen, evened, tracked))]
+        surprise = hypot(off[0], off[1]) > settings.kicked_m + 0.3 * maximum(elapsed - 2 * STEP_S, 0.0)
+        known = self.stored("sightings") >= (_TRACKED if tracking else 2.0)
+        now = seen & known & surprise & (kicked < 0.0)
         return [
             Store(kicked, begin=constant(-1.0), update=kicked + (kicked >= 0.0)),
             Store(kicked, update=where(now, 0.0, kicked)),
+            *tracking,
         ]
 
     def _steer(self) -> list[Store]:

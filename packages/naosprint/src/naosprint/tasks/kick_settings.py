@@ -84,6 +84,23 @@ class KickSettings(NearBallSettings):
         description="Steps that the walker acts before an episode ends.",
         json_schema_extra={"unit": "steps"},
     )
+    kicked_m: float = Field(
+        default=0.04,
+        ge=0.01,
+        le=1.0,
+        title="Kicked from",
+        description="Distance of the ball from where it was expected from which it counts as kicked, and the walker "
+        "takes over. Too small, noise looks like a kick; too large, a soft kick goes unnoticed.",
+        json_schema_extra={"unit": "m"},
+    )
+    sight_share: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=1.0,
+        title="Share of a sight",
+        description="Share of a new sight in the place from which the ball is expected to roll on; 1: the last sight "
+        "alone. A smaller one evens out noise, and adds up what a soft kick moves the ball in several sights.",
+    )
     approach_steps: int = Field(
         default=150,
         ge=10,
