@@ -248,7 +248,7 @@ def test_a_soft_kick_is_noticed_from_several_sights() -> None:
 
 
 def test_a_ball_is_seen_with_the_stated_noise() -> None:
-    """Off by as much in every direction, whatever the distance; differently in every sight; not at all for undisturbed robots."""
+    """Off by as much in every direction, in every sight differently; not at all for undisturbed robots."""
     seen = {}
     for noise in (0.0, 0.02):
         environment = environment_of(32, ball_noise_m=noise, undisturbed_fraction=0.5, takeover_steps=1000)
