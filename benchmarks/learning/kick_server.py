@@ -107,7 +107,7 @@ def kick_once(player: Player, rng: np.random.Generator, start: int, wide: bool) 
     for step in range(STEPS):
         if acting is kick:
             player.step(kick, ball=player.perceived("ball"))
-            if kick.ball.done:
+            if kick.kicked:
                 acting = walker
                 walker.begin(action=kick.action, position=kick.position)
         else:
