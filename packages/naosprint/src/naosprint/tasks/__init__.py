@@ -10,7 +10,7 @@ from naospec import TaskSettings
 from naospec.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 
 from naosprint.tasks.base import End, RewardTerm, Task, get, names, seconds
-from naosprint.tasks.disturbances import DisturbanceSettings
+from naosprint.tasks.disturbances import BallNoiseSettings, DisturbanceSettings
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement, Measurement, StoredNumbers
@@ -25,6 +25,7 @@ from naosprint.terms.randomness import normal, uniform
 __all__ = [
     "FALL",
     "FALL_RATE",
+    "BallNoiseSettings",
     "Below",
     "Beyond",
     "Chart",
