@@ -157,7 +157,8 @@ def main() -> int:
                 runs.append(future.result())
                 print(*futures[future], runs[-1]["conditions"], flush=True)
         runs.sort(key=lambda run: wanted.index((run["variant"], run["seed"])))
-        RECORD.write_text(json_text({"steps": options.steps, "episodes": options.episodes, "runs": runs}))
+        record = {"steps": options.steps, "episodes": options.episodes, "runs": runs}
+        RECORD.write_text(json_text(record), encoding="utf-8")
     runs = json.loads(RECORD.read_text(encoding="utf-8"))["runs"]
     print(table(runs))
     plot(runs)

@@ -93,6 +93,17 @@ def test_the_walkers_command_is_approached() -> None:
     assert (largest_changes() > 2.0 * most).all()
 
 
+def test_the_walkers_accelerations_are_those_of_its_training() -> None:
+    """Unless others are set; a walker without any is commanded at once."""
+
+    def resolved(**settings: Any) -> tuple[float | None, ...]:
+        return Dribble.resolve(DribbleSettings(name="dribble", **settings), PITCHED).accelerations
+
+    assert resolved(walker="t1-run-steady") == (4.0, 2.0, 4.0)
+    assert resolved(walker="t1-run-steady", turn_acceleration_rad_s2=1.0) == (4.0, 2.0, 1.0)
+    assert resolved(walker="t1-run") == (None, None, None)
+
+
 def test_what_is_drawn_does_not_depend_on_the_number_of_robots() -> None:
     few, many = environment_of(2, line_steps=10), environment_of(5, line_steps=10)
     for _ in range(20):

@@ -177,9 +177,9 @@ class BallTask(Task[Settings], Generic[Settings]):
         walker = chosen(parameters.walker, "task.walker", robot.name, Velocity.name)
         for name in parameters.entry_policies:
             chosen(name, "task.entry_policies", robot.name, Velocity.name)
-        remembered = max(parameters.history_steps, bundled(robot.name, Velocity.name)[walker])
-        trained = FrozenPolicy(walker).spec.task
-        own = {name: getattr(trained, name) for name in ACCELERATIONS if getattr(parameters, name) is None}
+        trained = bundled(robot.name, Velocity.name)[walker]
+        remembered = max(parameters.history_steps, int(trained.get("history_steps", 0)))
+        own = {name: trained.get(name) for name in ACCELERATIONS if getattr(parameters, name) is None}
         settings = parameters.model_copy(update={"walker": walker, "history_steps": remembered, **own})
         return with_min_height(settings, robot, defaults.fall_height_m)
 

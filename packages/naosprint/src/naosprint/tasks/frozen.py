@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import naopolicies
 import numpy as np
@@ -61,11 +61,11 @@ class FrozenPolicy:
 
 
 @cache
-def bundled(robot: str, task: str) -> dict[str, int]:
+def bundled(robot: str, task: str) -> dict[str, dict[str, Any]]:
     """Return the bundled policies that move this robot and were last trained for this task.
 
     Returns:
-        How many earlier steps each observes, by name.
+        By name the task's settings of each that differ from their defaults; no weights are read.
     """
     found = {}
     for name in naopolicies.names():
@@ -74,7 +74,7 @@ def bundled(robot: str, task: str) -> dict[str, int]:
         tasks = ({**section, "name": section.get("name", "")} for section in (last.get("task", {}), spec["task"]))
         trained = next((each["name"] for each in tasks if each["name"]), "")
         if (spec["robot"]["name"], trained) == (robot, task):
-            found[name] = int({**spec["task"], **last.get("task", {})}.get("history_steps", 0))
+            found[name] = {**spec["task"], **last.get("task", {})}
     return found
 
 

@@ -326,9 +326,6 @@ class Velocity(Task[VelocitySettings]):
         n = self.n
         self.max_steps = parameters.episode_steps
         self.command: FloatArray = np.zeros((n, 3))
-        eases = any(parameters.accelerations)
-        # the velocity that a robot is to have now, where it approaches the command
-        self._reference: FloatArray = np.zeros((n, 3)) if eases else self.command
         self.velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
         self._heading: FloatArray = np.zeros(n)
         self._heading_error: FloatArray = np.zeros(n)
@@ -348,8 +345,8 @@ class Velocity(Task[VelocitySettings]):
             "errors": self._errors,
             "advance": self._advance_m,
         }
-        if eases:
-            self.arrays["reference"] = self._reference
+        if any(parameters.accelerations):
+            self.arrays["reference"] = np.zeros((n, 3))  # the velocity on the way to the command
         self._growth = CommandGrowth(parameters, n) if parameters.command_growth else None
         if self._growth:
             self.arrays |= self._growth.arrays
