@@ -154,12 +154,12 @@ struct Between {
   int count = 0, level = 0, joints[kBodies] = {};  // speeds of these joints, ascending
   double sign[kBodies] = {};                       // +1 on the second body's side
 };
-inline bool is_above(int a, int b) {
+constexpr bool is_above(int a, int b) {
   while (b > a) b = kParent[b];
   return a == b;
 }
 // The pattern that products of these speeds, in ascending order, need.
-inline int level_of(const int* speeds, int count) {
+constexpr int level_of(const int* speeds, int count) {
   int level = 0;
   for (int x = 0; x < count; ++x)
     for (int y = 0; y < x; ++y) {
@@ -169,7 +169,7 @@ inline int level_of(const int* speeds, int count) {
     }
   return level;
 }
-inline Between between(int a, int b) {
+constexpr Between between(int a, int b) {
   Between out;
   for (int x = 1; x < kBodies; ++x) {
     const bool ua = is_above(x, a), ub = is_above(x, b);
@@ -179,13 +179,14 @@ inline Between between(int a, int b) {
   return out;
 }
 struct BetweenBodies {
-  Between of[kBodies][kBodies];
-  BetweenBodies() {
+  Between of[kBodies][kBodies] = {};
+  constexpr BetweenBodies() {
     for (int i = 0; i < kBodies; ++i)
       for (int j = 0; j < kBodies; ++j) of[i][j] = between(i, j);
   }
 };
-inline const BetweenBodies kBetween;
+// Computed by the compiler: what runs when the library is loaded would run on processors without these instructions.
+inline constexpr BetweenBodies kBetween;
 
 // Tangents as mju_makeFrame chooses them.
 inline void frame_of(Vec n, Vec& t, Vec& s) {
