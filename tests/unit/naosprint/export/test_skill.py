@@ -84,7 +84,7 @@ def folder_of(robot: str, directory: Path) -> Path:
         ({"name": "t1"}, {"name": "velocity", "history_steps": 3}),
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "kick", "power_fraction": 0.0}),
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "kick", "power_fraction": 1.0, "rolling_fraction": 1.0}),
-        ({"name": "t1", "head_pitch_rad": 0.6}, "dribble"),
+        ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "dribble", "walker": "t1-run-steady"}),  # approaches commands
         ({"name": "t1", "head_pitch_rad": 0.6}, "block"),
     ],
     ids=[

@@ -17,6 +17,7 @@ from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
 from pydantic import ValidationError
 
+APPROACH = {"forward_acceleration_mps2": 3.0, "sideways_acceleration_mps2": 2.0, "turn_acceleration_rad_s2": 4.0}
 PITCHED = T1.with_parameters({"head_pitch_rad": 0.6})
 
 
@@ -76,8 +77,7 @@ def test_a_line_begins_where_the_ball_is_seen() -> None:
 
 def test_the_walkers_command_is_approached() -> None:
     """A line that turns changes it by no more than the accelerations."""
-    limits = {"forward_acceleration_mps2": 3.0, "sideways_acceleration_mps2": 2.0, "turn_acceleration_rad_s2": 4.0}
-    names = ("command_forward", "command_sideways", "command_turn")
+    limits, names = APPROACH, ("command_forward", "command_sideways", "command_turn")
 
     def largest_changes(**settings: float) -> np.ndarray[Any, np.dtype[np.float64]]:
         environment = environment_of(8, line_steps=20, **settings)
@@ -91,6 +91,19 @@ def test_the_walkers_command_is_approached() -> None:
     most = np.array(list(limits.values())) * STEP_S
     np.testing.assert_allclose(largest_changes(**limits), most, rtol=1e-9)
     assert (largest_changes() > 2.0 * most).all()
+
+
+def test_a_robot_that_takes_over_approaches_its_first_command_from_its_speed() -> None:
+    names = ("velocity_x", "velocity_y"), ("command_forward", "command_sideways")
+    apart = []
+    for settings in (APPROACH, {}):
+        environment = environment_of(16, **settings)
+        moving, commanded = (np.stack([seen(environment, name) for name in each]) for each in names)
+        assert moving[0].max() > 0.5
+        apart.append(np.abs(commanded - moving).max(axis=1))
+    most = np.array(list(APPROACH.values())[:2]) * STEP_S
+    assert (apart[0] <= most + 1e-9).all()
+    assert (apart[1] > 2.0 * most).all()
 
 
 def test_the_walkers_accelerations_are_those_of_its_training() -> None:

@@ -232,13 +232,12 @@ class BallTask(Task[Settings], Generic[Settings]):
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the walker's observations, the ball as it is perceived, and the walker's command."""
         entry = given("entry_velocity", source(self._entry_velocity))
-        velocity = self._usual.get("velocity")
-        moving = [] if velocity is None else [Store(source(velocity.arrays["velocity"], "velocity"), begin=entry)]
+        moving = Store(source(self._usual["velocity"].arrays["velocity"], "velocity"), begin=entry)
         command = ObservationBlock(
             ("command_forward", "command_sideways", "command_turn"),
             self.stored("command"),
             signs=(1.0, -1.0, -1.0),
-            stores=[*moving, *self._look(), *self._steer()],
+            stores=[moving, *self._look(), *self._steer()],
         )
         path = ObservationBlock(
             ("line_offset", "heading_sin", "heading_cos"), constant([0.0, 0.0, 1.0]), signs=(-1.0, -1.0, 1.0)
@@ -311,9 +310,10 @@ class BallTask(Task[Settings], Generic[Settings]):
         return []
 
     def _command_walker(self, command: Number) -> Store:
-        """Return what stores the walker's command, which it approaches as in its own training."""
-        stored = self.stored("command")
-        return Store(stored, begin=command, update=approached(self.parameters, stored, command))
+        """Return what stores the walker's command, approached as in its training from the velocity of the robot."""
+        stored, moving = self.stored("command"), source(self._usual["velocity"].arrays["velocity"], "velocity")
+        begin = approached(self.parameters, stack(moving[0], moving[1], 0.0), command)
+        return Store(stored, begin=begin, update=approached(self.parameters, stored, command))
 
     @abstractmethod
     def _steer(self) -> list[Store]:

@@ -34,10 +34,10 @@ def _acceleration(name: str, unit: str) -> Any:
         gt=0.0,
         le=100.0,
         title=f"{name.capitalize()} acceleration",
-        description=f"How fast the {name} speed that a robot is to have now approaches the commanded one, from 0 at "
-        "the start of an episode. The policy observes that speed in place of the command. No robot changes its speed "
-        "at once; one that is rewarded for trying falls. Left out: commands apply at once, before a ball as in the "
-        "walker's training.",
+        description=f"How fast the {name} speed that a robot is to have now approaches the commanded one: from 0 at "
+        "the start of an episode, before a ball from the speed that the robot has. The policy observes it in place of "
+        "the command. No robot changes its speed at once; one that is rewarded for trying falls. Left out: commands "
+        "apply at once, before a ball as in the walker's training.",
         json_schema_extra={"unit": unit},
     )
 
