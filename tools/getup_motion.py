@@ -21,7 +21,7 @@ import cmaes
 import numpy as np
 from naosim import robots
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.simulator import Starts
 from naospec.json_text import json_text
 from naosprint.tasks.getup import SIDES, STANDING_HEIGHT, STANDING_UP, lying, side_of
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 FOLDER = Path(__file__).parents[1] / "packages/naosprint/src/naosprint/tasks/motion_data"
-JOINTS = ("shoulder_pitch", "shoulder_roll", "elbow_pitch", "elbow_yaw", "hip_pitch", "hip_roll", "hip_yaw")
-JOINTS += ("knee_pitch", "ankle_pitch")
+ARM, LEG = ("shoulder_pitch", "shoulder_roll", "elbow_pitch", "elbow_yaw"), ("hip_pitch", "hip_roll", "hip_yaw")
+JOINTS = (*ARM, *LEG, "knee_pitch", "ankle_pitch")
 ALL = (*(f"{side}_{name}" for side in ("left", "right") for name in JOINTS), "waist")
 POPULATION, STARTS, STEPS, LAST = 48, 24, 175, 55
 SHORTEST_S, LONGEST_S, RETURN_S = 0.1, 0.5, 0.3

@@ -20,8 +20,7 @@ import naopolicies
 import numpy as np
 from naosim.mujoco.program import server_launcher
 from naosprint.analysis.results import interval_text, value_text
-from naosprint.export import policy_arrays
-from naosprint.rl.policy import load_policy
+from naosprint.export import export_policy
 from naosprint.tasks.episodes import Statistics
 from naosprint.tasks.getup import LIMIT_S, STANDING_RATE, SUCCESS_RATE, TIME
 from player import running
@@ -76,8 +75,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch, running(server_launcher()) as address:
-        path = Path(scratch) / "policy.npz"
-        np.savez(path, **policy_arrays(*load_policy(naopolicies.resolve(options.policy))))
+        path = export_policy(naopolicies.resolve(options.policy), Path(scratch), ["numpy"])[0]
         times, stands = attempts(path, address, options.falls, options.seed)
     statistics = Statistics(CONFIDENCE, SAMPLES, options.seed)
     for result in (

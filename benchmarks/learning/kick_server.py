@@ -19,13 +19,13 @@ from typing import Any
 
 import naopolicies
 import numpy as np
-from naosim import robots
+from naosim import kinds, robots
 from naosim.simulator import RuntimeOptions, Scene, Simulator, Starts
-from naospec import plugins
 from naosprint.export import export_policy
 from naosprint.rl.checkpoint import read_manifest
 from naosprint.tasks.ball import UPRIGHT
 from naosprint.tasks.kick_results import CORRIDOR_HALF_M, CORRIDORS_M, UPRIGHT_S
+from naosprint.tasks.kick_settings import KickSettings
 
 PERCEIVED = {
     "position": "torso_pos",
@@ -127,10 +127,11 @@ def kick_once(player: Player, rng: np.random.Generator, start: int, wide: bool) 
     way = np.array(path) - ball
     along = np.cos(direction) * way[:, 0] + np.sin(direction) * way[:, 1]
     across = np.cos(direction) * way[:, 1] - np.sin(direction) * way[:, 0]
-    through = {}
+    through: dict[str, bool] = {}
     for length in CORRIDORS_M:
         beyond = np.flatnonzero(along >= length)
-        through[length] = bool(len(beyond) and not fell and np.abs(across[: beyond[0] + 1]).max() <= CORRIDOR_HALF_M)
+        within = len(beyond) and np.abs(across[: beyond[0] + 1]).max() <= CORRIDOR_HALF_M
+        through[str(length)] = bool(within and not fell)
     error = float(np.degrees(abs(np.arctan2(across[-1], along[-1]))))
     return {"touched": touched >= 0, "upright": not fell, "m": float(np.hypot(*way[-1])), "deg": error, **through}
 
@@ -147,13 +148,13 @@ def main() -> int:
     spec = read_manifest(naopolicies.resolve(options.policy)).stage_spec
     robot = robots.configured(spec.robot)
     rng = np.random.default_rng(options.seed)
-    kind = plugins.load(plugins.SIMULATORS, options.simulator)
+    kind = kinds.get(options.simulator)
     parameters = kind.parameters(robot)(name=options.simulator)
     simulator = kind.open(robot, 1, parameters, RuntimeOptions(), Scene(ball=True))
     results = []
     try:
         with tempfile.TemporaryDirectory() as folder:
-            walker = runner_of(spec.task.walker, Path(folder) / "walker")
+            walker = runner_of(str(KickSettings.of(spec.task).walker), Path(folder) / "walker")
             kick = runner_of(options.policy, Path(folder) / "kick")
         n = options.kicks
         places = np.column_stack([np.full(n, -6.0), rng.uniform(-4.0, 4.0, n)])
@@ -174,7 +175,7 @@ def main() -> int:
         f"upright {sum(each['upright'] for each in results)}, "
         f"distance {np.mean([each['m'] for each in hit]):.1f} m, direction error median "
         f"{np.median([each['deg'] for each in hit]):.1f} degrees, corridors of "
-        + ", ".join(f"{length:g} m {sum(each[length] for each in results)}" for length in CORRIDORS_M)
+        + ", ".join(f"{length:g} m {sum(each[str(length)] for each in results)}" for length in CORRIDORS_M)
         + "\n"
     )
     return 0

@@ -34,14 +34,7 @@ from naosim.simulator import STEP_S, NativeHandle, Simulator, Truth
 from naosprint import tasks
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import Environment
-from naosprint.tasks.sprint import (
-    FINISH_X_M,
-    PAPER_MIN_SAMPLES,
-    START_LINES_M,
-    START_X_M,
-    deviation_deg,
-    speeds_beyond,
-)
+from naosprint.tasks.sprint import FINISH_X_M, MIN_SAMPLES, START_LINES_M, START_X_M, deviation_deg, speeds_beyond
 
 if TYPE_CHECKING:
     from naosim.launchers import ServerHandle
@@ -186,7 +179,7 @@ def until_over(path: FloatArray) -> FloatArray:
 def summary(paths: list[FloatArray]) -> dict[str, Any]:
     """Return the statistics of several runs; `top_speed_mps` is the paper's measure."""
     xs = [path[:, 0] for path in paths]
-    by_line = [speeds_beyond(xs, line, PAPER_MIN_SAMPLES) for line in START_LINES_M]
+    by_line = [speeds_beyond(xs, line, MIN_SAMPLES) for line in START_LINES_M]
     distances = [x[-1] - x[0] for x in xs]
     return {
         "episodes": len(paths),

@@ -31,8 +31,7 @@ from naosim.simulator import STEP_S
 from naospec import TrainingSpec, read_stored
 from naosprint.analysis.film import write_gif, write_mp4
 from naosprint.analysis.replay import Replay
-from naosprint.export import policy_arrays
-from naosprint.rl.policy import load_policy
+from naosprint.export import export_policy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -74,10 +73,8 @@ def main() -> int:
     parser.add_argument("--film", type=Path, metavar="FOLDER", help="write player.mp4 and player.gif there")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        record, paths = Path(scratch) / "cycles.npz", []
-        for name in (options.policy, options.getup):
-            paths.append(Path(scratch) / f"{name}.npz")
-            np.savez(paths[-1], **policy_arrays(*load_policy(naopolicies.folder(name))))
+        record, names = Path(scratch) / "cycles.npz", (options.policy, options.getup)
+        paths = [export_policy(naopolicies.folder(name), Path(scratch) / name, ["numpy"])[0] for name in names]
         with running(ProcessLauncher(REALTIME, (sys.executable, "-m", "rcsssmj"))) as address:
             play = [sys.executable, str(AGENT), str(paths[0]), "--getup", str(paths[1])]
             play += ["--tumble"] if options.tumble else []

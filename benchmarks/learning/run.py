@@ -38,7 +38,7 @@ from naosprint.analysis.results import by_name  # noqa: E402
 from naosprint.console import listed_text  # noqa: E402
 from naosprint.rl.checkpoint import read_manifest  # noqa: E402
 from naosprint.rl.columns import columns  # noqa: E402
-from naosprint.rl.learner import learner_kind  # noqa: E402
+from naosprint.rl.ppo import PPO  # noqa: E402
 from naosprint.rl.rollout import TrainingEnvironment  # noqa: E402
 from naosprint.tasks.environment import open_training_environment  # noqa: E402
 
@@ -329,7 +329,7 @@ def throughput(workdir: Path) -> dict[str, Any]:
     set_learner_threads(spec.runtime.learner_threads)
     environment, n_starts = open_training_environment(spec)
     env = TrainingEnvironment.from_spec(spec, environment, n_starts)
-    ppo = learner_kind("ppo").open(spec, env)
+    ppo = PPO(spec, env)
     ppo.begin()
     ppo.collect()
     rng = np.random.default_rng(0)
@@ -388,7 +388,7 @@ def threads(workdir: Path) -> dict[str, Any]:
         set_learner_threads(1)
         environment, n_starts = open_training_environment(spec)
         env = TrainingEnvironment.from_spec(spec, environment, n_starts)
-        learners[count] = learner_kind("ppo").open(spec, env)
+        learners[count] = PPO(spec, env)
         learners[count].begin()
 
     def collected(count: int) -> int:

@@ -64,7 +64,7 @@ def main() -> int:
     # Two trainings of one thread each, at the same time.
     os.environ |= {"NAOSPRINT_WORKER_CONCURRENCY": "2", "NAOSPRINT_WORKER_REPORT": "off"}
     stack = Stack(workers=1, store_mb=2048)
-    repeats = []
+    repeats: list[dict[str, Any]] = []
     try:
         headers = {"Authorization": f"Bearer {stack.token}"}
         with httpx.Client(base_url=stack.url, headers=headers, timeout=60) as client:
@@ -105,7 +105,7 @@ def main() -> int:
                 print(json.dumps(repeat), flush=True)
     finally:
         stack.close()
-    figures = {
+    figures: dict[str, Any] = {
         "machine": {"cpus": os.cpu_count(), "python": platform.python_version()},
         "objective": f"{OBJECTIVE}, {options.episodes} episodes",
         "steps": options.steps,

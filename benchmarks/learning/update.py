@@ -29,16 +29,14 @@ quiet_openmp()
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from naospec import TrainingSpec  # noqa: E402
-from naosprint.rl.learner import learner_kind  # noqa: E402
 from naosprint.rl.networks import actor_of, critic_of, linear_layers  # noqa: E402
+from naosprint.rl.ppo import PPO  # noqa: E402
 from naosprint.rl.rollout import TrainingEnvironment  # noqa: E402
 from naosprint.tasks.environment import open_training_environment  # noqa: E402
 from run import machine, spec_of  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from naosprint.rl.ppo import PPO
 
 RECORD = Path(__file__).with_suffix(".json")
 MEASURE_S = 8.0
@@ -48,7 +46,7 @@ SETTINGS: dict[str, Any] = {"simulator_threads": 2, "learner_threads": 2}
 def opened(spec: TrainingSpec) -> PPO:
     """Return a learner with a rollout."""
     environment, n_starts = open_training_environment(spec)
-    ppo: PPO = learner_kind("ppo").open(spec, TrainingEnvironment.from_spec(spec, environment, n_starts))
+    ppo = PPO(spec, TrainingEnvironment.from_spec(spec, environment, n_starts))
     ppo.begin()
     ppo.collect()
     return ppo
@@ -110,8 +108,8 @@ def main() -> None:
     compiled = opened(spec_of(**SETTINGS))
     plain = opened(spec_of(**SETTINGS, compiled_update=False))
     spec = compiled.spec
-    samples, batch = spec.rollout_steps, spec.algorithm.batch_size
-    passes = spec.algorithm.n_epochs * samples // batch
+    samples, batch = spec.rollout_steps, compiled.settings.batch_size
+    passes = compiled.settings.n_epochs * samples // batch
     policy = compiled.policy
     set_learner_threads(1)
     networks = [products(linear_layers(network(policy)), batch) for network in (actor_of, critic_of)]

@@ -31,10 +31,10 @@ class Drill:
         self._name, self._number = name, number
         self._server = half_launcher(0, _HALF_S).start()
         self._monitor = GameMonitor(self._server, time.monotonic() + _PATIENCE_S)
-        self._frame = self._next()
+        self._advance()
         self._agent = AgentProcess(team, name, number, players, self._server.address, Limits())
         while not self._frame.bodies:
-            self._frame = self._next()
+            self._advance()
 
     def close(self) -> None:
         """End server and player."""
@@ -59,13 +59,13 @@ class Drill:
         (bodies,) = self._frame.bodies.values()
         return float(bodies[0, 3, 2])
 
-    def _next(self) -> Frame:
-        frame = self._monitor.next(time.monotonic() + _PATIENCE_S)
-        if PLAY_MODES[frame.mode] == "GameOver":
+    def _advance(self) -> None:
+        """Read the next state of the game."""
+        self._frame: Frame = self._monitor.next(time.monotonic() + _PATIENCE_S)
+        if PLAY_MODES[self._frame.mode] == "GameOver":
             sys.exit("the half is over; give the player less to do on a server")
-        return frame
 
     def _wait(self, seconds: float) -> None:
         end_s = self._frame.time_s + seconds
         while self._frame.time_s < end_s:
-            self._frame = self._next()
+            self._advance()

@@ -88,10 +88,9 @@ class Keeping(Drill):
         self._wait(0.1)
         began, calm_since, before, ball = self._frame.time_s, None, self._frame.ball_m, self._frame.ball_m
         while self._frame.time_s < began + LIMIT_S:
-            self._frame = self._next()
-            if (
-                self._frame.mode != PLAY_ON
-            ):  # a goal, too, is one only if somebody has touched the ball since the kick-off
+            self._advance()
+            # a goal, too, is one only if somebody has touched the ball since the kick-off
+            if self._frame.mode != PLAY_ON:
                 return not _goes_in(before, ball), self._stands()
             before, ball = ball, self._frame.ball_m
             comes = ball[0] < before[0] - STILL_M

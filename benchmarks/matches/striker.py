@@ -81,7 +81,7 @@ class Shooting(Drill):
         self._wait(0.2)
         began, goals, falls, lay = self._frame.time_s, self._frame.score[0], 0, False
         while self._frame.time_s < began + WITHIN_S:
-            self._frame = self._next()
+            self._advance()
             if self._frame.score[0] > goals:
                 return self._frame.time_s - began, falls
             lies = self._torso_m() < LYING_M

@@ -184,11 +184,11 @@ class Nemesis:
         def jump() -> None:
             # Shifting the times of all rows has the effect of a clock that jumps; leases have a clock of their own.
             with contextlib.suppress(Exception), self._stack.sessions.begin() as session:
-                for table in (Job.__table__, Worker.__table__, LeaseClock.__table__):
+                for model in (Job, Worker, LeaseClock):
                     own = {"lease_expires_at", "time"}
-                    dates = [item for item in table.columns if isinstance(item.type, DateTime) and item.name not in own]
-                    moved = {date: date - timedelta(seconds=seconds) for date in dates}
-                    session.execute(update(table).values(moved))
+                    columns = model.__table__.columns
+                    dates = [item for item in columns if isinstance(item.type, DateTime) and item.name not in own]
+                    session.execute(update(model).values({date: date - timedelta(seconds=seconds) for date in dates}))
 
         return Fault(f"postgres: clock {seconds:+.0f} s", jump, lambda: None)
 

@@ -123,7 +123,12 @@ class Proxy:
 
     def _call(self, function: Callable[[], object]) -> None:
         done = threading.Event()
-        self._loop.call_soon_threadsafe(lambda: (function(), done.set()))
+
+        def work() -> None:
+            function()
+            done.set()
+
+        self._loop.call_soon_threadsafe(work)
         done.wait()
 
     def _break(self) -> None:
@@ -190,7 +195,9 @@ class Stack:
         if world:
             self._mount_small_disk("work", WORK_MB)
         self.start_store()
-        socket_file = next(Path(self.postgres.get_postmaster_info().socket_dir).glob(".s.PGSQL.*[0-9]"))
+        sockets = self.postgres.get_postmaster_info().socket_dir
+        assert sockets is not None, "on this system Postgres listens on a socket of the file system"
+        socket_file = next(Path(sockets).glob(".s.PGSQL.*[0-9]"))
         self.proxies = {
             "postgres": Proxy(socket_file),
             "broker": Proxy(self.broker_port),
@@ -360,10 +367,10 @@ class Stack:
                 with contextlib.suppress(ProcessLookupError):
                     process.send_signal(signal.SIGCONT)
                 self.kill(name)
-        for process in psutil.process_iter():
+        for other in psutil.process_iter():
             with contextlib.suppress(psutil.Error, OSError):
-                if process.environ().get("NAOSPRINT_WORKER_DIR", "").startswith(str(self.folder)):
-                    process.kill()
+                if other.environ().get("NAOSPRINT_WORKER_DIR", "").startswith(str(self.folder)):
+                    other.kill()
         self.engine.dispose()
         for proxy in self.proxies.values():
             proxy.close()

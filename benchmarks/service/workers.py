@@ -111,7 +111,6 @@ class Stub:
             self._name,
             host="load",
             pid=1,
-            queues=["embedded"],
             capabilities=self._capabilities,
             version="1",
             stale_s=self._rates.lease_s,
@@ -140,7 +139,6 @@ class Stub:
         claim = leases.claim_next(
             self._sessions,
             self._name,
-            queues=["embedded"],
             capabilities=self._capabilities,
             lease_s=self._rates.lease_s,
         )
@@ -182,7 +180,7 @@ def run_stubs(
     order = itertools.count()
     changed = threading.Condition()
     unused = {"broker_url": "redis://unused", "artifact_url": "file:///unused"}
-    settings = WorkerSettings(mode="local", database_url=database_url, **unused)
+    settings = WorkerSettings.model_validate({"mode": "local", "database_url": database_url, **unused})
     capabilities = installed_capabilities(settings)
     start = time.monotonic()
     for number in range(first, first + count):

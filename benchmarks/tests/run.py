@@ -15,7 +15,7 @@ import json
 import os
 import sys
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Generator, Mapping
 from pathlib import Path
 
@@ -57,7 +57,7 @@ class Plugin:
     def __init__(self, group: Group) -> None:
         self._group = group
         self.used_s: dict[str, float] = {}
-        self.lasted_s: Counter[str] = Counter()
+        self.lasted_s: defaultdict[str, float] = defaultdict(float)
         """Wall time by file."""
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)

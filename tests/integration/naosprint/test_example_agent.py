@@ -24,7 +24,6 @@ from naosprint.export import policy_arrays
 from naosprint.rl.checkpoint import Manifest
 from naosprint.rl.policy import NetworkPolicy
 from naosprint.tasks.environment import open_environment
-from naosprint.tasks.observations import seen_yaw
 
 from tests.integration.naosim.wire import Player
 from tests.integration.naosim.wire import serving as serving_naos
@@ -316,9 +315,7 @@ def test_the_player_observes_and_commands_as_task_velocity_does(
     for step in range(40):
         expected = environment.observations[0].copy()
         if step in given:
-            # heading and path begin again with a new command
-            task.command[0], task.arrays["offset"][0], task._heading_error[0] = given[step], 0.0, 0.0
-            task.arrays["heading"][0] = seen_yaw(task.world)(everyone)[0, 0]
+            task.set_command(everyone, np.array([given[step]]))
             expected[path_columns] = (*given[step], 0.0, 0.0, 1.0)
         difference = np.abs(seen[step] - expected)
         assert (difference < digit).all(), f"step {step}: {[names[i] for i in np.flatnonzero(difference >= digit)]}"

@@ -476,6 +476,13 @@ class Velocity(Task[VelocitySettings]):
         """How far the range of commands has grown."""
         return self._growth.mean if self._growth else None
 
+    def set_command(self, rows: IntArray, command: FloatArray) -> None:
+        """Give robots new commands, (k, 3) in m/s and rad/s; heading and path begin again."""
+        self.command[rows] = command
+        self._heading[rows] = seen_yaw(self.world)(rows)[:, 0]
+        self._heading_error[rows] = 0.0
+        self._offset[rows] = 0.0
+
     def measure(self, rows: IntArray) -> FloatArray:
         """Return mean velocity error, fall, and mean forward speed."""
         steps = self.world.steps[rows]
