@@ -50,11 +50,11 @@ class Batch {
   // max_speed, (joints,) rad/s. Returns kNotFinite, and steps nothing, if a target or perceived angle is not finite.
   int drive(const double* targets, double gain, const double* max_speed, const std::uint8_t* lanes);
   static constexpr int kNotFinite = -2;
-  // The same for the environments [first, first + count), which share no group with others, in the background: returns kNotFinite or -1
-  // at once; finish_drive(first) returns what drive does.
+  // The same for the environments [first, first + count), both multiples of kWhole unless they end with the last one, in the background:
+  // returns kNotFinite or -1 at once; finish_drive(first) returns what drive does.
   int begin_drive(const double* targets, double gain, const double* max_speed, int first, int count);
   int finish_drive(int first);
-  int lanes() const { return lanes_; }
+  static constexpr int kWhole = 8;  // lanes of the widest kernel, so that these are whole groups on every processor
   void reset(const std::uint8_t* lanes);
   void beam(const double* position, const double* yaw_deg, const std::uint8_t* lanes);  // (n, 3), (n,)
   void set_bodies(const double* bodies, const std::uint8_t* lanes);                    // (n, bodies, 13)

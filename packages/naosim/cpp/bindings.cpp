@@ -129,7 +129,7 @@ NB_MODULE(_core, m) {
              const std::size_t joints = static_cast<std::size_t>(self.model().joint_count());
              const int count = static_cast<int>(targets.size() / joints), end = first + count;
              require(targets.size() == count * joints && max_speed.size() == joints, "targets, max_speed: wrong shape");
-             require(first >= 0 && count >= 1 && end <= self.size() && first % self.lanes() == 0 && (end % self.lanes() == 0 || end == self.size()),
+             require(first >= 0 && count >= 1 && end <= self.size() && first % Batch::kWhole == 0 && (end % Batch::kWhole == 0 || end == self.size()),
                      "rows: out of range, or part of a group");
              return self.begin_drive(targets.data(), gain, max_speed.data(), first, count);
            }, nb::arg("targets"), nb::arg("gain"), nb::arg("max_speed"), nb::arg("first"))
@@ -138,7 +138,7 @@ NB_MODULE(_core, m) {
              nb::gil_scoped_release release;
              return self.finish_drive(first);
            }, nb::arg("first"))
-      .def_prop_ro("lanes", [](const Batch& self) { return self.lanes(); })
+      .def_ro_static("whole", &Batch::kWhole)
       .def("reset", [](Batch& self, const std::optional<Bytes>& mask) { self.reset(lanes_of(self, mask)); }, nb::arg("mask").none())
       .def("beam",
            [](Batch& self, const Doubles& position, const Doubles& yaw_deg, const std::optional<Bytes>& mask) {

@@ -32,6 +32,11 @@ Clock::time_point after(double seconds) {
   return Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
 }
 
+// Why a connection is lost; a server that ends before it has read everything resets it.
+const char* reason_of(int error) {
+  return error == ECONNRESET || error == EPIPE ? "closed by the server" : std::strerror(error);
+}
+
 std::string seconds_text(double seconds) {
   std::string out;
   append_fixed(out, seconds, 1);
@@ -151,7 +156,7 @@ void Exchange::send(int row, bool monitor, std::string_view framed) {
       pollfd wait{fd, POLLOUT | POLLIN, 0};
       if (::poll(&wait, 1, left_ms(until)) == 0) return fail(row, std::string(port_name(monitor)) + ": the server no longer reads");
     } else {
-      return lose(row, monitor, std::strerror(errno));
+      return lose(row, monitor, reason_of(errno));
     }
   }
 }
@@ -188,7 +193,7 @@ bool Exchange::receive(int row, bool monitor, bool waiting) {
       }
       return true;
     } else {
-      lose(row, monitor, std::strerror(errno));
+      lose(row, monitor, reason_of(errno));
       return false;
     }
   }

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from naosim.robots import nao_model
 from naosim.simspark import BatchSimulator, centre_of_mass
+from naosim.simspark.batch import WHOLE
 from naosim.simspark.control import GAIN, motor_speeds
 from naosim.simspark.motion import stepping_speeds
 from naosim.simulator import halves
@@ -336,8 +337,8 @@ def test_the_compiled_controller_drives_as_the_python_one() -> None:
 def test_groups_in_the_background_move_as_all_together(threads: int) -> None:
     together, turns = BatchSimulator(29), BatchSimulator(29, threads=threads)
     limits, rng = turns.model.max_speed, np.random.default_rng(1)
-    first, second = halves(29, turns.lanes)
-    assert (first.stop % turns.lanes, second.stop) == (0, 29)
+    first, second = halves(29, WHOLE)
+    assert (first, second) == (slice(0, 16), slice(16, 29))
     targets = rng.uniform(-2.0, 2.0, (40, 29, JOINTS))
     for cycle in targets:
         together.drive(cycle, GAIN, limits)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 _Landmark = tuple[str, tuple[float, float, float]]
 
 class Batch:
+    whole: int
     def __init__(
         self,
         table: dict[str, NDArray[np.float64]],
@@ -31,8 +32,6 @@ class Batch:
         self, targets: NDArray[np.float64], gain: float, max_speed: NDArray[np.float64], first: int
     ) -> int: ...
     def finish_drive(self, first: int) -> int: ...
-    @property
-    def lanes(self) -> int: ...
     def reset(self, mask: NDArray[np.uint8] | None) -> None: ...
     def beam(
         self, position: NDArray[np.float64], yaw_deg: NDArray[np.float64], mask: NDArray[np.uint8] | None

@@ -20,6 +20,10 @@ DIGITS = (2, 3, None)
 BODY_STATE = 13
 """Values per body: position xyz (m), quaternion wxyz, velocity xyz (m/s), angular velocity xyz (rad/s); world frame."""
 
+WHOLE: int = _core.Batch.whole
+"""Environments that share vector registers on the widest processor. Steps in the background are of multiples of them on
+every processor, so that a training has the same groups everywhere, and with them the same bits."""
+
 _NOT_FINITE = -2
 
 _SHAPES = {"box": 1, "sphere": 2, "capsule": 3}
@@ -205,7 +209,7 @@ class BatchSimulator:
             targets_rad: (k, joints); speed = gain * (target - perceived angle).
             gain: 1/s.
             max_speed: (joints,) largest speeds, rad/s.
-            first: a multiple of :attr:`lanes`, as is ``first + k`` unless it is ``n``.
+            first: a multiple of :data:`WHOLE`, as is ``first + k`` unless it is ``n``.
 
         Raises:
             ValueError: wrong shape or rows, or a target or angle is not finite; nothing has begun then.
@@ -224,11 +228,6 @@ class BatchSimulator:
         """
         failed = self._core.finish_drive(first)
         self._require_finite(failed)
-
-    @property
-    def lanes(self) -> int:
-        """Return the number of environments that share vector registers."""
-        return int(self._core.lanes)
 
     def _raise_not_finite(self, targets: Floats, first: int, mask: NDArray[np.bool_] | None) -> None:
         wrong = ~np.isfinite(targets + self.perceptors.joint_angles[first : first + len(targets)])

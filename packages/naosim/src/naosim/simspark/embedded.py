@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from naosim.robots.nao import model_of
-from naosim.simspark.batch import BatchSimulator
+from naosim.simspark.batch import WHOLE, BatchSimulator
 from naosim.simspark.control import GAIN, settle
 from naosim.simspark.vision import LandmarkVision
 from naosim.simulator import CONTACT_N, NativeHandle, Simulator, Truth, halves
@@ -48,7 +48,7 @@ class EmbeddedSimulator(Simulator):
             self.perceptors["vision"] = self._vision.seen
         self.truth = Truth(truth.torso_position, truth.torso_rotation)
         if self._vision is None:  # which sees all robots at once
-            self.groups = halves(n, self._engine.lanes)
+            self.groups = halves(n, WHOLE)
         self._begun: set[int] = set()
         self._pending: dict[int, tuple[Floats, Flags | None]] = {}
         self._starts: Bytes | None = None
