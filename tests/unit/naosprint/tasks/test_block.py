@@ -157,7 +157,7 @@ def test_results_tell_saves_by_speed_and_distance() -> None:
 
 def test_episodes_begin_with_states_of_each_entry_policy() -> None:
     alone, both = environment_of(2), environment_of(2, entry_policies=("t1-run",))
-    own, other = (task_of(each)._states for each in (alone, both))
+    own, other = (task_of(each)._entered.states for each in (alone, both))
     assert len(other) == len(own) == 8
     np.testing.assert_array_equal(other.actions[:4], own.actions[:4])
     speeds = np.hypot(*other.motion.torso_mps[:, :2].T)

@@ -101,9 +101,9 @@ def test_the_first_observation_is_that_of_a_robot_in_motion() -> None:
     environment = environment_of(4)
     task, names = task_of(environment), environment.observer.names
     seen = environment.observations[:, [names.index(f"velocity_{axis}") for axis in "xyz"]]
-    np.testing.assert_array_equal(seen, task._states.velocity[task._state])
+    np.testing.assert_array_equal(seen, task._entered.states.velocity[task._entered.numbers])
     actions = environment.observations[:, [k for k, name in enumerate(names) if name.startswith("action_")]]
-    np.testing.assert_array_equal(actions, task._states.actions[task._state])
+    np.testing.assert_array_equal(actions, task._entered.states.actions[task._entered.numbers])
 
 
 # --- another policy acts ----------------------------------------------------------------------------------------------

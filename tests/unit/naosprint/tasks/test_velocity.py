@@ -159,6 +159,32 @@ def test_commands_can_be_approached() -> None:
     assert (reference[:, 0] == task.command[:, 0]).any() and (reference[:, 0] != task.command[:, 0]).any()
 
 
+def test_episodes_begin_with_states_of_other_policies() -> None:
+    """In the middle of a step, with the latest action; the command is approached from the speed that the robot has."""
+    entry = {"entry_policies": ("t1-run",), "entry_fraction": 0.5, "handover_states": 32}
+    environment = environment_of(64, forward_acceleration_mps2=3.0, **entry)
+    task, everyone = task_of(environment), np.arange(64)
+    environment.load_starts(task.starts(8, 0, 2.0))
+    environment.restart(everyone, everyone % 8)
+    assert task._entered is not None
+    states, names = task._entered.states, environment.observer.names
+    seen = environment.observations[:, [names.index(f"velocity_{axis}") for axis in "xyz"]]
+    entered = seen.any(axis=1)
+    assert len(states) == 32
+    assert 16 < entered.sum() < 48
+    numbers = task._entered.numbers[entered]
+    np.testing.assert_array_equal(seen[entered], states.velocity[numbers])
+    np.testing.assert_array_equal(environment.world.actions[entered], states.actions[numbers])
+    assert not environment.world.actions[~entered].any()
+    wanted = environment.observations[:, names.index("command_forward")]
+    np.testing.assert_array_equal(wanted, seen[:, 0])
+    assert np.ptp(wanted) > 0.5
+    before = numbers.copy()
+    environment.restart(everyone, everyone % 8)
+    assert (task._entered.numbers[entered] != before).any()
+    assert task.parameters.for_evaluation().entry_policies == ()
+
+
 def test_commands_depend_on_the_seed_and_on_nothing_that_other_robots_do() -> None:
     """A robot's commands are the same alone in motion, among others, and for any own action."""
     first = environment_of(4)

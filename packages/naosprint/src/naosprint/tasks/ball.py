@@ -23,7 +23,7 @@ from naosprint.tasks.commands import ACCELERATIONS, AccelerationSettings, approa
 from naosprint.tasks.disturbances import BallNoiseSettings, DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen
-from naosprint.tasks.handover import HandOver, joined, record
+from naosprint.tasks.handover import Entries, EntrySettings, HandOver, joined, record
 from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings
 from naosprint.tasks.robot_defaults import robot_defaults
@@ -37,7 +37,6 @@ from naosprint.terms import (
     constant,
     cos,
     equal,
-    given,
     maximum,
     sin,
     source,
@@ -61,7 +60,9 @@ FOOT_M = 0.106
 """Distance of a foot's line from the robot's, metres."""
 
 
-class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings, BallNoiseSettings, AccelerationSettings):
+class BallSettings(
+    FallSettings, PenaltySettings, DisturbanceSettings, BallNoiseSettings, AccelerationSettings, EntrySettings
+):
     """Settings of tasks with a ball."""
 
     ranges: ClassVar[tuple[tuple[str, str], ...]] = ()
@@ -72,20 +73,6 @@ class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings, BallNoise
         title="Walker",
         description="Bundled policy that approaches the ball, and takes over after a kick; left out: the robot's own. "
         "The task observes at least as many earlier steps as this policy.",
-    )
-    entry_policies: tuple[PlainName, ...] = Field(
-        default=(),
-        max_length=7,
-        title="Entry policies",
-        description="Bundled walking policies with whose states episodes begin, too, as often as with the walker's: "
-        "from another one's steps a policy may fall.",
-    )
-    handover_states: int = Field(
-        default=1024,
-        ge=8,
-        le=100_000,
-        title="Hand-over states",
-        description="States of the walker that episodes begin with; recorded when a training or evaluation begins.",
     )
     entry_speed_mps: float = Field(
         default=1.1,
@@ -193,7 +180,7 @@ class BallTask(Task[Settings], Generic[Settings]):
         self._command: FloatArray = np.zeros((n, 3))  # the walker's: forward, sideways, turn
         self._draws: IntArray = np.zeros(n, dtype=np.int64)
         self._aim: FloatArray = np.zeros(n)  # direction in which the ball has to leave
-        self._state: IntArray = np.zeros(n, dtype=np.int64)
+        self._entered = Entries(world)
         self._sighted: FloatArray = np.zeros((n, 2))  # where the ball was last seen
         self._expected: FloatArray = np.zeros((n, 2))  # its velocity
         self._sightings: IntArray = np.zeros(n, dtype=np.int64)
@@ -203,7 +190,7 @@ class BallTask(Task[Settings], Generic[Settings]):
             "command": self._command,
             "draws": self._draws,
             "aim": self._aim,
-            "state": self._state,
+            "state": self._entered.numbers,
             "sighted": self._sighted,
             "expected": self._expected,
             "sightings": self._sightings,
@@ -212,9 +199,6 @@ class BallTask(Task[Settings], Generic[Settings]):
         }
         self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
         self.flags = (self._fallen,)
-        # what the walker's state leaves behind in the first observation
-        self._entry_action: FloatArray = np.zeros((n, world.actuation.n_actions))
-        self._entry_velocity: FloatArray = np.zeros((n, 3))
         self.entries: IntArray = np.full(n, -1)  # of the next episode: number of its state, -1 to draw one
         usual = [name for name in world.defaults.observations if name != "heading"]
         self._usual = dict(zip(usual, blocks(world, usual), strict=True))
@@ -231,13 +215,11 @@ class BallTask(Task[Settings], Generic[Settings]):
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the walker's observations, the ball as it is perceived, and the walker's command."""
-        entry = given("entry_velocity", source(self._entry_velocity))
-        moving = Store(source(self._usual["velocity"].arrays["velocity"], "velocity"), begin=entry)
         command = ObservationBlock(
             ("command_forward", "command_sideways", "command_turn"),
             self.stored("command"),
             signs=(1.0, -1.0, -1.0),
-            stores=[moving, *self._look(), *self._steer()],
+            stores=[self._entered.moving(self._usual["velocity"]), *self._look(), *self._steer()],
         )
         path = ObservationBlock(
             ("line_offset", "heading_sin", "heading_cos"), constant([0.0, 0.0, 1.0]), signs=(-1.0, -1.0, 1.0)
@@ -352,18 +334,15 @@ class BallTask(Task[Settings], Generic[Settings]):
 
     def enter(self, states: HandOver) -> Starts:
         """Begin episodes with these states, and return a pose to replace by them."""
-        self._states = states
+        self._entered.states = states
         # two alike: in one the camera reports in odd steps, in the other in even ones
         return Starts(np.repeat(self.robot.nominal[None], 2, axis=0))
 
     def _put(self, rows: IntArray, state: FloatArray, heading: FloatArray) -> None:
         """Put robots into the walker's states, numbered from 0 to 1, at the origin with (k,) headings."""
-        drawn = (state * len(self._states)).astype(np.int64)
-        self._state[rows] = np.where(self.entries[rows] < 0, drawn, self.entries[rows])
-        zero = np.zeros_like(heading)
-        self._states.begin(self.world, rows, self._state[rows], np.stack([zero, zero, heading], axis=1))
-        self._entry_action[rows] = self._states.actions[self._state[rows]]
-        self._entry_velocity[rows] = self._states.velocity[self._state[rows]]
+        drawn = (state * len(self._entered.states)).astype(np.int64)
+        numbers, zero = np.where(self.entries[rows] < 0, drawn, self.entries[rows]), np.zeros_like(heading)
+        self._entered.put(rows, numbers, np.stack([zero, zero, heading], axis=1))
 
     def _put_ball(
         self,
@@ -406,14 +385,9 @@ class BallTask(Task[Settings], Generic[Settings]):
         # the perceived velocity is R^T (position - before) / time, with R of a truncated quaternion
         quaternion, only = self.world.perceived("torso_quat"), slice(row, row + 1)
         inverse = [turned(quaternion, constant(axis))(only)[0] for axis in np.eye(3).tolist()]
-        moved = np.linalg.solve(inverse, self._states.velocity[self._state[row]]) * STEP_S
+        moved = np.linalg.solve(inverse, self._entered.velocity(row)) * STEP_S
         position: FloatArray = self.world.perceptors["torso_pos"][row] - moved
         return {"action": self.world.actions[row].copy(), "position": position}
-
-    def _entry(self) -> list[Store]:
-        """Return what restores the walker's latest action, so that an episode continues its motion."""
-        action = source(self._entry_action)
-        return [Store(each, begin=action) for each in (self.world.action, self.world.previous_action)]
 
     def _falls(self) -> Store:
         """Return what is stored of falls."""

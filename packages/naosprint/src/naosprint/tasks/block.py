@@ -236,7 +236,9 @@ class Block(BallTask[BlockSettings]):
         self._conceded: BoolArray = np.zeros(n, dtype=np.bool_)
         self._saved: BoolArray = np.zeros(n, dtype=np.bool_)
         aim = self.stored("aim")
-        self.measurements = (StoredNumbers([*self._entry(), Store(aim, begin=given("aim", aim)), *self._follow()]),)
+        self.measurements = (
+            StoredNumbers([*self._entered.last_actions(), Store(aim, begin=given("aim", aim)), *self._follow()]),
+        )
         self.flags = (self._fallen, self._conceded, self._saved)
 
     # what is observed

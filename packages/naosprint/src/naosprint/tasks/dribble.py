@@ -265,7 +265,7 @@ class Dribble(BallTask[DribbleSettings]):
         self._lost: BoolArray = np.zeros(n, dtype=np.bool_)
         self._over: BoolArray = np.zeros(n, dtype=np.bool_)  # the ball has passed the end of its line
         self._done: BoolArray = np.zeros(n, dtype=np.bool_)
-        self.measurements = (StoredNumbers([*self._entry(), *self._follow(), *self._lines_begin()]),)
+        self.measurements = (StoredNumbers([*self._entered.last_actions(), *self._follow(), *self._lines_begin()]),)
         self.flags = (self._fallen, self._lost, self._done)
 
     # what is observed

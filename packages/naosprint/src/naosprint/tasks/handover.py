@@ -11,21 +11,25 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from naosim.simulator import RobotMotion, Starts
+from naosim.simulator import Ability, RobotMotion, Starts
+from naospec import TaskSettings
+from naospec.sections import PlainName
+from pydantic import Field
 
 from naosprint.tasks.base import Task
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.starts import draw_start_poses
+from naosprint.terms import Store, given, source
 from naosprint.terms.randomness import uniform
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from naosim.simulator import Simulator
-    from naospec import TaskSettings
 
     from naosprint.arrays import FloatArray, IntArray
     from naosprint.tasks.frozen import FrozenPolicy
+    from naosprint.tasks.observations import ObservationBlock
     from naosprint.tasks.world import World
 
     _State = tuple[RobotMotion, FloatArray, FloatArray]
@@ -39,6 +43,26 @@ _STREAM = 0x4A4D
 _LEAST_HEIGHT, _LEAST_UPRIGHT = 0.8, 0.8
 _FALL_STEPS, _LYING_STEPS = 600, 50
 _LYING_HEIGHT = 0.45
+
+
+class EntrySettings(TaskSettings):
+    """Settings of tasks whose episodes begin with states of other policies."""
+
+    entry_policies: tuple[PlainName, ...] = Field(
+        default=(),
+        max_length=7,
+        title="Entry policies",
+        description="Bundled policies that follow velocities, with whose states episodes begin, too: from the steps of "
+        "another one a policy may fall. Before a ball as often as with the walker's.",
+        json_schema_extra={"needs": Ability.MOVING},
+    )
+    handover_states: int = Field(
+        default=1024,
+        ge=8,
+        le=100_000,
+        title="Hand-over states",
+        description="States of other policies that episodes begin with; recorded when a training or evaluation begins.",
+    )
 
 
 @dataclass(frozen=True)
@@ -63,6 +87,50 @@ class HandOver:
         """Put the (k,) robots ``rows`` into (k,) states, at (k, 3) x, y and heading."""
         chosen = _chosen(self.motion, states)
         world.set_motion(rows, _turned(chosen, places[:, 2], places[:, :2]))
+
+
+class Entries:
+    """States that the episodes of robots begin with, and what the policy before leaves behind.
+
+    Args:
+        world: the robots.
+
+    Attributes:
+        states: the states; they follow from settings and seed.
+        numbers: (n,) number of the state of each robot's episode; part of checkpoints.
+    """
+
+    states: HandOver
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.numbers: IntArray = np.zeros(world.n, dtype=np.int64)
+        self._actions: FloatArray = np.zeros((world.n, world.actuation.n_actions))
+        self._velocity: FloatArray = np.zeros((world.n, 3))
+
+    def put(self, rows: IntArray, numbers: IntArray, places: FloatArray) -> None:
+        """Put the (k,) robots ``rows`` into states, at (k, 3) x, y and heading."""
+        self.numbers[rows] = numbers
+        self.states.begin(self._world, rows, numbers, places)
+        self._actions[rows], self._velocity[rows] = self.states.actions[numbers], self.states.velocity[numbers]
+
+    def stand(self, rows: IntArray) -> None:
+        """Note that the (k,) robots ``rows`` begin with a start, not with a state."""
+        self._actions[rows] = self._velocity[rows] = 0.0
+
+    def velocity(self, row: int) -> FloatArray:
+        """Return the (3,) velocity that the robot ``row`` perceived in its state, in the torso's frame."""
+        velocity: FloatArray = self.states.velocity[self.numbers[row]]
+        return velocity
+
+    def last_actions(self) -> list[Store]:
+        """Return what restores the latest actions, so that an episode continues the motion."""
+        return [Store(each, begin=source(self._actions)) for each in (self._world.action, self._world.previous_action)]
+
+    def moving(self, velocity: ObservationBlock) -> Store:
+        """Return what begins the observed velocity with that of the state."""
+        begin = given("entry_velocity", source(self._velocity))
+        return Store(source(velocity.arrays["velocity"], "velocity"), begin=begin)
 
 
 def joined(several: Sequence[HandOver]) -> HandOver:

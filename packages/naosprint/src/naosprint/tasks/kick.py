@@ -157,7 +157,9 @@ class Kick(BallTask[KickSettings]):
         self._done: BoolArray = np.zeros(n, dtype=np.bool_)
         self._missed: BoolArray = np.zeros(n, dtype=np.bool_)
         aim = self.stored("aim")
-        self.measurements = (StoredNumbers([*self._entry(), Store(aim, begin=given("aim", aim)), *self._follow()]),)
+        self.measurements = (
+            StoredNumbers([*self._entered.last_actions(), Store(aim, begin=given("aim", aim)), *self._follow()]),
+        )
         self.flags = (self._fallen, self._done, self._missed)
 
     # what is observed

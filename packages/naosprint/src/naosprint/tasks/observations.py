@@ -180,7 +180,7 @@ class Observer:
         """
         return Mirror.of_names((*self.names, *self.critic_names), *self._mirror)
 
-    def begin(self, rows: IntArray, remembered: Mapping[str, FloatArray] | None = None) -> None:
+    def begin(self, rows: IntArray, remembered: Mapping[str, FloatArray] = {}) -> None:  # never changed
         """Compute the first observation of an episode for the robots ``rows``; the others do not change.
 
         Args:
@@ -192,10 +192,8 @@ class Observer:
                 store.apply(store.begin, rows)
             if block.begin is not None:
                 block.begin(rows)
-        for name, values in (remembered or {}).items():
-            for block in self.blocks:
-                if name in block.arrays:
-                    block.arrays[name][rows] = values
+            for name in remembered.keys() & block.arrays.keys():
+                block.arrays[name][rows] = remembered[name]
         values = self._measure(rows)
         self.values[rows] = values
         first = np.zeros((len(rows), self.observations.shape[1]))

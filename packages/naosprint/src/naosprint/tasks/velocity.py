@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from naosim.simulator import STEP_S
@@ -14,6 +14,8 @@ from naosprint.tasks.base import RewardTerm, Task
 from naosprint.tasks.commands import SETTLING_S, CommandGrowth, CommandSettings, approached, commanded
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
+from naosprint.tasks.frozen import FrozenPolicy, chosen
+from naosprint.tasks.handover import Entries, EntrySettings, joined, record
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings, penalties
@@ -41,14 +43,18 @@ from naosprint.terms import (
     wrapped,
 )
 from naosprint.terms.geometry import along
+from naosprint.terms.randomness import uniform as uniform_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from naosim.robots import Robot
+    from naosim.simulator import Starts
 
     from naosprint.arrays import BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
+
+_ENTRIES = 0x3E7A  # keeps the draws of entries apart from those of commands
 
 TRACKING_SCALE = 0.25
 """Squared error at which the narrow part of a tracking reward has fallen to 1/e, (m/s)^2 or (rad/s)^2."""
@@ -203,8 +209,17 @@ def _stops(trace: FloatArray, fallen: bool) -> Iterator[bool]:
             yield False
 
 
-class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, CommandSettings):
+class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, CommandSettings, EntrySettings):
     """Settings of the task ``velocity``."""
+
+    entry_fraction: float = Field(
+        default=0.5,
+        ge=0.0,
+        le=1.0,
+        title="Entry fraction",
+        description="Fraction of the episodes of trainings that begin with a state of the entry policies, if there are "
+        "any.",
+    )
 
     episode_steps: int = Field(
         default=1000,
@@ -255,6 +270,10 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, Comma
         description="Penalty per step for the squared sine of the torso's tilt.",
     )
     fall_penalty: float = Field(default=0.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
+
+    def for_evaluation(self) -> Self:
+        """Return the settings without disturbances, with the whole range of commands, and from a stand."""
+        return super().for_evaluation().model_copy(update={"entry_policies": ()})
 
 
 class Velocity(Task[VelocitySettings]):
@@ -319,6 +338,8 @@ class Velocity(Task[VelocitySettings]):
     def resolve(cls, parameters: VelocitySettings, robot: Robot) -> VelocitySettings:
         """Return the settings with the robot's own minimum height where none is given."""
         super().resolve(parameters, robot)
+        for name in parameters.entry_policies:
+            chosen(name, "task.entry_policies", robot.name, cls.name)
         return with_min_height(parameters, robot, robot_defaults(robot).fall_height_m)
 
     def __init__(self, parameters: VelocitySettings, world: World, seed: int = 0) -> None:
@@ -327,6 +348,7 @@ class Velocity(Task[VelocitySettings]):
         self.max_steps = parameters.episode_steps
         self.command: FloatArray = np.zeros((n, 3))
         self.velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
+        self._draws: IntArray = np.zeros(n, dtype=np.int64)
         self._heading: FloatArray = np.zeros(n)
         self._heading_error: FloatArray = np.zeros(n)
         self._offset: FloatArray = np.zeros(n)
@@ -336,7 +358,7 @@ class Velocity(Task[VelocitySettings]):
         self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
         self.arrays = {
             "command": self.command,
-            "draws": np.zeros(n, dtype=np.int64),
+            "draws": self._draws,
             "position": np.zeros((n, 2)),
             "yaw": np.zeros(n),
             "perceived_position": np.zeros((n, 2)),
@@ -347,10 +369,15 @@ class Velocity(Task[VelocitySettings]):
         }
         if any(parameters.accelerations):
             self.arrays["reference"] = np.zeros((n, 3))  # the velocity on the way to the command
+        self._entered = Entries(world) if parameters.entry_policies else None
+        entry = []
+        if self._entered is not None:
+            self.arrays["state"] = self._entered.numbers
+            entry = self._entered.last_actions()
         self._growth = CommandGrowth(parameters, n) if parameters.command_growth else None
         if self._growth:
             self.arrays |= self._growth.arrays
-        self.measurements = (StoredNumbers([*self._follow(parameters.min_height_m or 0.0), *self._redraw()]),)
+        self.measurements = (StoredNumbers([*entry, *self._follow(parameters.min_height_m or 0.0), *self._redraw()]),)
         self.flags = (self._fallen,)
 
     def _stored(self, name: str) -> Number:
@@ -432,14 +459,44 @@ class Velocity(Task[VelocitySettings]):
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the robot's usual observations without its heading in the world, and those of the command."""
-        usual = blocks(self.world, [name for name in self.world.defaults.observations if name != "heading"])
+        observed = [name for name in self.world.defaults.observations if name != "heading"]
+        usual = dict(zip(observed, blocks(self.world, observed), strict=True))
+        begun = []
+        if self._entered is not None and "velocity" in usual:
+            begun.append(self._entered.moving(usual["velocity"]))
+        if "reference" in self.arrays and "velocity" in usual:
+            # a robot that takes over from another skill is in motion
+            moving = source(usual["velocity"].arrays["velocity"], "velocity")
+            begun.append(Store(self._stored("reference"), begin=stack(moving[0], moving[1], 0.0)))
         names = ("command_forward", "command_sideways", "command_turn")
-        command = ObservationBlock(names, self._wanted, signs=(1.0, -1.0, -1.0))
+        command = ObservationBlock(names, self._wanted, signs=(1.0, -1.0, -1.0), stores=begun)
         # named as in the sprint tasks, so that training can start from a policy that runs straight
         offset, error = clip(self._stored("offset"), -OFFSET_LIMIT_M, OFFSET_LIMIT_M), self._error
         names = ("line_offset", "heading_sin", "heading_cos")
         path = ObservationBlock(names, stack(offset, sin(error), cos(error)), signs=(-1.0, -1.0, 1.0))
-        return [*usual, command, path]
+        return [*usual.values(), command, path]
+
+    def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
+        """Return start poses, and record the states that episodes begin with."""
+        if self._entered is not None:
+            several = [FrozenPolicy(name) for name in self.parameters.entry_policies]
+            states = max(1, min(self.parameters.handover_states, 4 * count) // len(several))
+            recorded = []
+            for policy in several:
+                walk = policy.spec.task.for_evaluation().model_copy(update={"episode_steps": 100_000})
+                recorded.append(record(self.world.simulator, policy, Velocity, walk, states, seed))
+            self._entered.states = joined(recorded)
+        return super().starts(count, seed, noise_deg)
+
+    def place(self, rows: IntArray) -> None:
+        """Put some of the robots into a state of another policy."""
+        if self._entered is None:
+            return
+        draws = uniform_numbers(self.seed + _ENTRIES, self.world.streams[rows], self._draws[rows], 2)
+        self._entered.stand(rows)
+        enters = draws[:, 0] < self.parameters.entry_fraction
+        numbers = (draws[enters, 1] * len(self._entered.states)).astype(np.int64)
+        self._entered.put(rows[enters], numbers, np.repeat([[*self.start_position(), 0.0]], len(numbers), axis=0))
 
     def start_position(self) -> tuple[float, float]:
         """Return a start in the robot's lane, where it has room in every direction."""
