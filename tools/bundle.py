@@ -124,10 +124,14 @@ def main() -> int:
 
 
 def put_in_place(name: str, checkpoint: Path, earlier: Path | None) -> None:
-    """Copy the policy's files from its checkpoint, and a whole earlier checkpoint if there is one."""
+    """Copy the policy's files from its checkpoint, and a whole earlier checkpoint if there is one.
+
+    The card of the policy before stays until there is another: it has the sentence.
+    """
     target = BUNDLED / name
-    shutil.rmtree(target, ignore_errors=True)
-    target.mkdir(parents=True)
+    target.mkdir(parents=True, exist_ok=True)
+    (target / "replay.json").unlink(missing_ok=True)
+    shutil.rmtree(target / naopolicies.EARLIER, ignore_errors=True)
     # unchanged: the specification's digest includes every field of that version
     slim = json.loads((checkpoint / MANIFEST).read_text(encoding="utf-8"))
     slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
