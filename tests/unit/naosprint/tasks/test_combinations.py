@@ -14,6 +14,7 @@ from naospec import TrainingSpec, plugins, specification, validation_words
 from naospec.plugins import UnknownPluginError
 from naosprint.rl.settings import PPOSettings
 from naosprint.tasks.environment import open_environment
+from naosprint.tasks.frozen import bundled
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
@@ -120,8 +121,10 @@ def opened(n: int = 1, **content: Any) -> Any:
     return open_environment(TrainingSpec.model_validate(content), n, threads=1)
 
 
-def other(name: str, info: FieldInfo) -> Any:
+def other(name: str, info: FieldInfo, robot: str) -> Any:
     """Return a value of a setting between its default and one of its bounds; None for one that has none."""
+    if name == "entry_policies":
+        return tuple(bundled(robot, "velocity"))[:1]
     low, high = (
         next((getattr(part, end) for part in info.metadata for end in ends if hasattr(part, end)), None)
         for ends in (("ge", "gt"), ("le", "lt"))
@@ -162,7 +165,7 @@ def test_what_is_accepted_runs_and_what_is_refused_would_not(
     for section, model in (("task", plugins.load(plugins.TASKS, task).Parameters), ("algorithm", PPOSettings)):
         for name, info in model.model_fields.items():
             extra = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
-            value = other(name, info)
+            value = other(name, info, robot)
             if extra.get("needs"):
                 assert value is not None, name
                 special.append({**base, section: {**base[section], name: value}})
