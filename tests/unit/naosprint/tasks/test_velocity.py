@@ -182,7 +182,11 @@ def test_episodes_begin_with_states_of_other_policies() -> None:
     before = numbers.copy()
     environment.restart(everyone, everyone % 8)
     assert (task._entered.numbers[entered] != before).any()
-    assert task.parameters.for_evaluation().entry_policies == ()
+
+
+def test_evaluations_begin_from_a_stand_and_last_as_long_as_those_of_other_policies() -> None:
+    trained = VelocitySettings(name="velocity", entry_policies=("t1-run",), episode_steps=300, command_growth=0.1)
+    assert trained.for_evaluation() == VelocitySettings(name="velocity")
 
 
 def test_commands_depend_on_the_seed_and_on_nothing_that_other_robots_do() -> None:
