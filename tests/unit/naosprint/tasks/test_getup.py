@@ -85,9 +85,9 @@ def test_a_fraction_of_the_robots_tips_over_sideways(fraction: float, quarters: 
 
 
 def test_evaluations_have_as_many_robots_on_the_sides_as_on_front_and_back() -> None:
-    assert GetUpSettings(name="getup", side_fraction=0.9, pose_noise_deg=5.0).for_evaluation() == GetUpSettings(
-        name="getup", side_fraction=0.5, pose_noise_deg=5.0
-    )
+    assert GetUpSettings(
+        name="getup", side_fraction=0.9, episode_steps=150, pose_noise_deg=5.0
+    ).for_evaluation() == GetUpSettings(name="getup", side_fraction=0.5, pose_noise_deg=5.0)
 
 
 def test_demonstrations_stand_up_from_every_side() -> None:

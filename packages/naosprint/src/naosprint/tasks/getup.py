@@ -116,9 +116,9 @@ class GetUpSettings(PenaltySettings, DisturbanceSettings):
     )
 
     def for_evaluation(self) -> Self:
-        """Return the settings without disturbances, and with as many robots on the sides as on front and back."""
-        side_fraction = type(self).model_fields["side_fraction"].get_default()
-        return super().for_evaluation().model_copy(update={"side_fraction": side_fraction})
+        """Return the settings without disturbances, with sides and episodes as usual, whatever the training's were."""
+        usual = {name: type(self).model_fields[name].get_default() for name in ("side_fraction", "episode_steps")}
+        return super().for_evaluation().model_copy(update=usual)
 
 
 SIDES: Mapping[str, float] = {"front": 0.5 * np.pi, "back": 1.5 * np.pi, "right": 0.0}
