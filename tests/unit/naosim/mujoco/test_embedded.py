@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from naosim.mujoco.traces import load
 from naosim.mujoco.world import MujocoUnavailableError, library, metadata
 from naosim.robots.booster import K1, T1, kind_of
 from naosim.robots.description import Robot
-from naosim.simulator import Starts
+from naosim.simulator import Starts, Variation
 
 BOTH = pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
 POSES = np.stack([T1.nominal, T1.nominal + 0.03 * (np.arange(23) % 3 - 1)])
@@ -323,3 +325,25 @@ def test_torque_shares_are_those_of_the_motors() -> None:
     assert np.abs(simulator.torque_shares(slice(0, 2))).max() == 1.0
     simulator.start(np.array([1]), np.array([1]))
     assert np.array_equal(simulator.torque_shares(np.array([1])), at_rest)
+
+
+def test_models_of_simulators_that_are_gone_are_freed_before_others_are_made() -> None:
+    """Their megabytes are MuJoCo's: the garbage collector, which does not count them, would come too late."""
+
+    def varied() -> MujocoSimulator:
+        simulator = opened()
+        simulator.vary([Variation(friction=0.6)] * 2, np.random.default_rng(0))
+        return simulator
+
+    gc.disable()
+    try:
+        gone = varied()
+        gone.close()
+        batch, cycle = weakref.ref(gone.batch), [gone]
+        cycle.append(cycle)  # type: ignore[arg-type]
+        del gone, cycle
+        assert batch() is not None
+        varied().close()
+        assert batch() is None
+    finally:
+        gc.enable()

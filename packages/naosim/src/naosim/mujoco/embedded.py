@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -64,6 +65,7 @@ class MujocoSimulator(Simulator):
         self.latency_steps = 1 + parameters.action_delay
         self._starts: Floats | None = None
         self._failures = 0
+        self._varied = False
         self.groups = halves(n)
         self._begun: set[int] = set()
         self._pending: dict[int, tuple[Floats, Flags]] = {}
@@ -268,6 +270,10 @@ class MujocoSimulator(Simulator):
     def vary(self, variations: Sequence[Variation], rng: np.random.Generator, rows: Ints | None = None) -> None:
         """Give robots other bodies, gains, contacts, friction and gravity."""
         self.require_open()
+        if not self._varied:
+            # own models take up to 23 MB each, which the collector does not see: free those of simulators that are gone
+            gc.collect()
+            self._varied = True
         numbers = range(self.n) if rows is None else rows.tolist()
         for row, variation in zip(numbers, variations, strict=True):
             self.batch.set_world(row, self.world.varied(variation, rng, self.batch.own_model(row)))
