@@ -36,6 +36,7 @@ class PolicyAgent:
     def begin(self):
         """Begin an episode, without observations of earlier steps."""
         self.cycles, self.velocity, self.action = 0, np.zeros(3), np.zeros(len(self.action_names))
+        self.past = []
 
     def seen(self):
         """Return what can be observed; every number has a name."""
@@ -48,7 +49,9 @@ class PolicyAgent:
         return seen
 
     def observe(self):
-        return np.array([*map(self.seen().__getitem__, self.observation_names)])
+        self.past = [self.seen(), *self.past[:99]]  # the latest first; steps before an episode are like its first
+        names = (name.partition("_ago") for name in self.observation_names)
+        return np.array([self.past[min(int(ago or 0), len(self.past) - 1)][name] for name, _, ago in names])
 
     def act(self, observation):
         """Return the joints' target angles in radians."""

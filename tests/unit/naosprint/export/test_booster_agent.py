@@ -131,6 +131,27 @@ def test_a_command_is_for_every_joint(robot: str, tmp_path: Path) -> None:
     assert list(controller["kd_nms_per_rad"]) == list(description.joint_names)
 
 
+def test_earlier_steps_are_what_the_agent_observed_then(tmp_path: Path) -> None:
+    """And those before an episode are like its first, as in the environment."""
+    spec = TrainingSpec.model_validate({"robot": "t1", "task": {"name": "sprint1", "history_steps": 2}})
+    environment = open_environment(spec, 1, threads=1)
+    policy, manifest = untrained(spec, environment)
+    np.savez(tmp_path / "policy.npz", **policy_arrays(policy, manifest))
+    runner: Any = load_agent().PolicyAgent(tmp_path / "policy.npz")
+    runner.perceive(message(environment, 0))
+    runner.begin()
+    steps = []
+    for _ in range(4):
+        present, *past = np.split(runner.observe(), 3)
+        steps.append(present)
+        for ago, seen in enumerate(past, start=1):
+            np.testing.assert_array_equal(seen, steps[max(len(steps) - 1 - ago, 0)])
+        environment.step(policy.act(environment.observations))
+        runner.perceive(message(environment, 0))
+    assert not np.array_equal(steps[0], steps[1])
+    environment.close()
+
+
 def test_the_agent_is_short_and_needs_numpy_alone() -> None:
     """No module of the project, and only NumPy besides the standard library."""
     assert len(AGENT.read_text(encoding="utf-8").splitlines()) < 140
