@@ -271,7 +271,7 @@ class MujocoSimulator(Simulator):
         """Give robots other bodies, gains, contacts, friction and gravity."""
         self.require_open()
         if not self._varied:
-            # own models take up to 23 MB each, which the collector does not see: free those of simulators that are gone
+            # own models take up to 23 MB each, unseen by Python's collector: free those of simulators that are gone
             gc.collect()
             self._varied = True
         numbers = range(self.n) if rows is None else rows.tolist()
