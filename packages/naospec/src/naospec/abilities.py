@@ -5,12 +5,13 @@ A field of a section states what it needs to differ from its default::
     push_mps: float = Field(default=0.0, json_schema_extra={"needs": Ability.PUSHES})
 
 It names an ability of simulators (``naosim.simulator.Ability``), ``perceptor NAME`` for one of the robot's perceptors,
-or :data:`DEMONSTRATIONS`. A task lists in its ``needs`` what it needs with any settings.
+or :data:`DEMONSTRATIONS`. A task lists in its ``needs`` what it needs with any settings. A setting that differs from
+its default may also provide something: ``{"provides": DEMONSTRATIONS}``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -36,6 +37,17 @@ def need_of(setting: FieldInfo) -> str | None:
     """Return what a setting needs to differ from its default; None for nothing."""
     extra = setting.json_schema_extra
     return str(extra["needs"]) if isinstance(extra, dict) and "needs" in extra else None
+
+
+def _by_settings(sections: Iterable[Section]) -> frozenset[str]:
+    """Return what the settings that differ from their defaults provide."""
+    extras = (
+        info.json_schema_extra
+        for section in sections
+        for name, info in type(section).model_fields.items()
+        if getattr(section, name) != info.get_default()
+    )
+    return frozenset(str(extra["provides"]) for extra in extras if isinstance(extra, dict) and "provides" in extra)
 
 
 def provided(group: str, name: str, robot: RobotContract) -> frozenset[str]:
@@ -65,7 +77,7 @@ def lacking(
     robot: RobotContract, simulator: SimulatorContract, task: TaskContract, sections: dict[str, Section]
 ) -> Iterator[InitErrorDetails]:
     """Yield an error for everything that the task, or a setting of ``sections``, needs and nothing provides."""
-    there = _of(robot, simulator, task)
+    there = _of(robot, simulator, task) | _by_settings(sections.values())
     for need in sorted(map(str, task.needs)):
         if need not in there:
             yield _error(("task",), task.name, need, robot, simulator, task, "use another task")

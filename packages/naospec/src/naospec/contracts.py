@@ -94,6 +94,9 @@ class LearnerContract(Protocol):
     ) -> PolicyContract:
         """Return a trained policy."""
 
+    def require(self, settings: BaseModel, robot: RobotContract, task: str) -> None:
+        """Check what the settings name against robot and task."""
+
     def describe(self) -> dict[str, object]:
         """Return a description for user interfaces."""
 

@@ -85,6 +85,7 @@ class TrainingSpec(_Specification, TrainingFields):
         sections = {name: getattr(self, name) for name in DEFAULTS}
         if errors := list(lacking(robot, simulator, task, sections)):
             raise ValidationError.from_exception_data(type(self).__name__, errors)
+        plugins.load(plugins.LEARNERS, self.algorithm.name).require(self.algorithm, robot, task.name)
         if self.stages:
             total = sum(stage.steps for stage in self.stages)
             if self.total_steps != total:

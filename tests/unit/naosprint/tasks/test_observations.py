@@ -11,11 +11,12 @@ from naosim.robots import Robot, nao_model
 from naosim.robots.actuation import Actuation
 from naosim.simspark import EmbeddedSimulator, centre_of_mass
 from naosim.simulator import Simulator, Starts, Truth
+from naosprint.tasks.base import Task
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.observations import BLOCKS, ObservationBlock, Observer, blocks
 from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.sprint import Sprint1, SprintSettings
-from naosprint.tasks.velocity import Velocity, VelocitySettings
+from naosprint.tasks.velocity import Velocity
 from naosprint.tasks.world import World
 from numpy.typing import NDArray
 
@@ -356,15 +357,17 @@ def test_policies_of_an_onboard_robot_observe_the_estimate_in_place_of_the_truth
 
 
 @pytest.mark.parametrize("name", ["t1", "k1"])
-def test_only_critics_observe_where_an_onboard_booster_is_and_how_fast(name: str) -> None:
+@pytest.mark.parametrize("kind", [Velocity, Sprint1])
+def test_only_critics_observe_where_an_onboard_booster_is_and_how_fast(name: str, kind: type[Task]) -> None:
+    """The distance from a line or path says where it is, too."""
     mujoco = pytest.importorskip("naosim.mujoco.embedded")
     robot = robots.get(name).with_parameters({"onboard_sensing": True})
-    world = {"height", "velocity_x", "velocity_y", "velocity_z"}
+    world = {"height", "velocity_x", "velocity_y", "velocity_z", "line_offset"}
     names = {}
     for critic in (False, True):
         simulator = mujoco.MujocoSimulator(robot, 2)
-        task = VelocitySettings(name="velocity", min_height_m=0.3)
-        environment = Environment(simulator, Velocity, task, critic=critic)
+        task = kind.Parameters(name=kind.name, min_height_m=0.3)
+        environment = Environment(simulator, kind, task, critic=critic)
         names[critic] = set(environment.observer.names), set(environment.observer.critic_names)
         assert environment.compiled
         simulator.close()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from naospec import TrainingSpec
     from torch import Tensor
 
-    from naosprint.arrays import Float32Array
+    from naosprint.arrays import Float32Array, FloatArray
     from naosprint.rl.rollout import TrainingEnvironment
 
 _RATE, _LEAST_RATE = 1e-3, 0.05
@@ -39,14 +39,21 @@ class ImitatingPPO(PPO):
 
     def __init__(self, spec: TrainingSpec, environment: TrainingEnvironment) -> None:
         super().__init__(spec, environment)
-        if environment.environment.task.demonstration(slice(0, 1)) is None:
-            raise ValueError(
-                f"algorithm.imitation_steps: task {spec.task.name} demonstrates nothing to robot {spec.robot.name}; "
-                "use 0"
-            )
+        self._require_demonstrations()
         self._network = actor_of(self.policy)
         self._torch_losses = Losses(self.policy, self.settings)
         self.demonstrations: Float32Array = self.rollout.actions[:0]
+
+    def _require_demonstrations(self) -> None:
+        if self.environment.environment.task.demonstration(slice(0, 1)) is None:
+            raise ValueError(
+                f"algorithm.imitation_steps: task {self.spec.task.name} demonstrates nothing to robot "
+                f"{self.spec.robot.name}; use 0"
+            )
+
+    def _demonstrated(self, group: slice) -> FloatArray | None:
+        """Return the (k, A) actions to imitate in the next step of a group; called once a step."""
+        return self.environment.environment.task.demonstration(group)
 
     def _left(self) -> float:
         """Return the share of the imitation that is still to come: 1 at its beginning, 0 after it."""
@@ -64,7 +71,7 @@ class ImitatingPPO(PPO):
         super()._act(seen, noise, out, step, group)
         if len(self.demonstrations):
             shown = self.demonstrations[step, group]
-            shown[:] = self.environment.environment.task.demonstration(group)
+            shown[:] = self._demonstrated(group)
             led = max(0, round(self._left() * self.environment.n) - group.start)
             out[:led] = (shown + noise)[:led]
 

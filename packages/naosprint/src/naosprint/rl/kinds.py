@@ -10,6 +10,7 @@ from naosprint.rl.settings import CHARTS, METRICS, PPOSettings
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from naosim.robots import Robot
     from naospec import LearnerSettings, TrainingSpec
 
     from naosprint.arrays import AnyArray
@@ -29,10 +30,23 @@ class PPOKind(LearnerKind):
 
     def open(self, spec: TrainingSpec, environment: TrainingEnvironment) -> Learner:
         """Return a new learner for these environments."""
-        from naosprint.rl.imitation import ImitatingPPO  # loads PyTorch
+        settings = PPOSettings.of(spec.algorithm)
+        if settings.teacher:
+            from naosprint.rl.distillation import DistillingPPO  # loads PyTorch
+
+            return DistillingPPO(spec, environment)
+        from naosprint.rl.imitation import ImitatingPPO
         from naosprint.rl.ppo import PPO
 
-        return (ImitatingPPO if PPOSettings.of(spec.algorithm).imitation_steps else PPO)(spec, environment)
+        return (ImitatingPPO if settings.imitation_steps else PPO)(spec, environment)
+
+    def require(self, settings: LearnerSettings, robot: Robot, task: str) -> None:
+        """Check that the teacher can teach; see :meth:`LearnerKind.require`."""
+        teacher = PPOSettings.of(settings).teacher
+        if teacher is not None:
+            from naosprint.tasks.frozen import require_teacher  # loads compiled code
+
+            require_teacher(teacher, robot, task)
 
     def load_policy(
         self,

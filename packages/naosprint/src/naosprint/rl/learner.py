@@ -15,6 +15,7 @@ from naospec.plugins import LEARNERS, Plugin
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from naosim.robots import Robot
     from naospec import LearnerSettings, TrainingSpec
     from naospec.metrics import Chart, Metric
 
@@ -170,6 +171,19 @@ class LearnerKind(ABC, Plugin):
         Raises:
             ValueError: naming the first array that does not fit. A missing one may raise KeyError.
         """
+
+    def require(self, settings: LearnerSettings, robot: Robot, task: str) -> None:
+        """Check what the settings name against robot and task, before a job is accepted; by default nothing.
+
+        Args:
+            settings: the algorithm's settings.
+            robot: the robot, with its settings.
+            task: name of the task.
+
+        Raises:
+            ValueError: naming the setting, and what can be used.
+        """
+        del settings, robot, task
 
     def describe(self) -> dict[str, object]:
         """Return a description of the algorithm for user interfaces, as a JSON object."""

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from naospec import LearnerSettings, presets
 from naospec.abilities import DEMONSTRATIONS
 from naospec.metrics import Chart, Metric
+from naospec.sections import PlainName
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -188,9 +189,16 @@ class PPOSettings(LearnerSettings):
         ge=0,
         le=10_000_000_000,
         title="Imitation steps",
-        description="Steps at the beginning in which the policy learns the actions that the task demonstrates, and the "
-        "critic their value.",
+        description="Steps at the beginning in which the policy learns the actions that the task or a teacher "
+        "demonstrates, and the critic their value.",
         json_schema_extra={"unit": "steps", "needs": DEMONSTRATIONS},
+    )
+    teacher: PlainName | None = Field(
+        default=None,
+        title="Teacher",
+        description="Bundled policy of the same robot and task that demonstrates its actions during the imitation. It "
+        "sees what the critic sees, so a policy can learn to do without what only a simulator knows.",
+        json_schema_extra={"provides": DEMONSTRATIONS},
     )
     compiled_update: bool = Field(
         default=True,
@@ -210,6 +218,12 @@ class PPOSettings(LearnerSettings):
         if self.learning_rate_schedule == "adaptive" and self.target_kl is None:
             raise PydanticCustomError(
                 "target_kl", "target_kl: an adaptive learning rate needs one; set target_kl, for example 0.01"
+            )
+        if self.teacher is not None and not (self.imitation_steps and self.critic_observations):
+            raise PydanticCustomError(
+                "teacher",
+                "teacher: needs imitation_steps above 0, during which it is imitated, and critic_observations=true, "
+                "so that it sees all that it observes",
             )
         rollout = self.rollout_steps
         if rollout > MAX_ROLLOUT_STEPS:

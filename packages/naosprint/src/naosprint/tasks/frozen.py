@@ -7,10 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import naopolicies
 import numpy as np
+from naosim import robots
+from naosim.robots.actuation import Actuation
 from naospec import TrainingSpec, plugins, read_stored
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from naosim.robots import Robot
+
     from naosprint.arrays import FloatArray, IntArray
+    from naosprint.rl.policy import Policy
     from naosprint.tasks.observations import Observer
 
 _MOST_NAMED = 6
@@ -39,7 +46,7 @@ class FrozenPolicy:
         self.observations: tuple[str, ...] = tuple(manifest["observations"])
         kind = plugins.load(plugins.LEARNERS, self.spec.algorithm.name)
         with np.load(folder / naopolicies.WEIGHTS) as arrays:
-            self._policy = kind.load_policy(
+            self.policy: Policy = kind.load_policy(
                 dict(arrays), self.spec.algorithm, observations=self.observations, actions=manifest["actions"]
             )
         self._columns: dict[tuple[str, ...], IntArray] = {}
@@ -52,12 +59,22 @@ class FrozenPolicy:
         """
         names = observer.names
         if names not in self._columns:
-            missing = sorted(set(self.observations) - set(names))
-            if missing:
-                named = ", ".join(missing[:_MOST_NAMED]) + (" and others" if len(missing) > _MOST_NAMED else "")
-                raise ValueError(f"policy {self.name} cannot act here: it observes {named}, too")
-            self._columns[names] = np.array([names.index(name) for name in self.observations])
-        return self._policy.act(observer.observations[rows][:, self._columns[names]])
+            self._columns[names] = self.columns(names)
+        return self.policy.act(observer.observations[rows][:, self._columns[names]])
+
+    def columns(self, names: Sequence[str], observed: Sequence[str] | None = None) -> IntArray:
+        """Return where among ``names`` the policy finds what it observes, or the part ``observed`` of it.
+
+        Raises:
+            ValueError: if something is missing; the message names it.
+        """
+        observed = self.observations if observed is None else observed
+        missing = sorted(set(observed) - set(names))
+        if missing:
+            named = ", ".join(missing[:_MOST_NAMED]) + (" and others" if len(missing) > _MOST_NAMED else "")
+            raise ValueError(f"policy {self.name} cannot act here: it observes {named}, too")
+        index = {name: column for column, name in enumerate(names)}
+        return np.array([index[name] for name in observed])
 
 
 @cache
@@ -98,3 +115,24 @@ def chosen(name: str | None, setting: str, robot: str, task: str) -> str:
             f"use {' or '.join(fitting) or 'another robot'}"
         )
     return name
+
+
+def require_teacher(name: str, robot: Robot, task: str) -> None:
+    """Check that a bundled policy can show this robot its actions; no weights are read.
+
+    Args:
+        name: name of the policy.
+        robot: the robot that learns, with its settings.
+        task: name of the task.
+
+    Raises:
+        ValueError: naming ``algorithm.teacher``, and what can be used.
+    """
+    spec = naopolicies.spec(chosen(name, "algorithm.teacher", robot.name, task))
+    own, other = Actuation(robot), Actuation(robots.configured(TrainingSpec.model_validate(spec).stage_specs[-1].robot))
+    ends = np.array([-1.0, 1.0])[:, None] * np.ones(own.n_actions)
+    if not np.allclose(own.targets(ends)[:, own.index], other.targets(ends)[:, other.index]):
+        raise ValueError(
+            f"algorithm.teacher: {name} has other ranges of actions than robot {robot.name} has with these settings; "
+            "give the robot the same action_range_rad"
+        )

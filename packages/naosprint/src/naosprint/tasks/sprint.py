@@ -246,13 +246,20 @@ class Sprint(Task[SprintSettings]):
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the robot's usual observations, and the distance from the line if the robot perceives where it is."""
+        return [*super().observation_blocks(), *(self._line() if self.world.defaults.knows_position else ())]
+
+    def critic_blocks(self) -> Sequence[ObservationBlock]:
+        """Return the distance from the line where the robot does not perceive it."""
+        return [*super().critic_blocks(), *(() if self.world.defaults.knows_position else self._line())]
+
+    def _line(self) -> Sequence[ObservationBlock]:
+        """Return the distance from the line, if the simulator tells where the robot is."""
         from naosprint.tasks.observations import ObservationBlock
 
-        usual = list(super().observation_blocks())
-        if "torso_pos" in self.world.perceptors:
-            offset = self.world.perceived("torso_pos")[1] - self.start_position()[1]
-            usual.append(ObservationBlock(("line_offset",), offset, signs=(-1.0,)))
-        return usual
+        if "torso_pos" not in self.world.perceptors:
+            return ()
+        offset = self.world.perceived("torso_pos")[1] - self.start_position()[1]
+        return (ObservationBlock(("line_offset",), offset, signs=(-1.0,)),)
 
     def start_position(self) -> tuple[float, float]:
         """Return the start: 14 m before the middle of the field, in the robot's lane."""

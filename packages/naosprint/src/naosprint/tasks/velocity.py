@@ -475,10 +475,19 @@ class Velocity(Task[VelocitySettings]):
         names = ("command_forward", "command_sideways", "command_turn")
         command = ObservationBlock(names, self._wanted, signs=(1.0, -1.0, -1.0), stores=begun)
         # named as in the sprint tasks, so that training can start from a policy that runs straight
-        offset, error = clip(self._stored("offset"), -OFFSET_LIMIT_M, OFFSET_LIMIT_M), self._error
-        names = ("line_offset", "heading_sin", "heading_cos")
-        path = ObservationBlock(names, stack(offset, sin(error), cos(error)), signs=(-1.0, -1.0, 1.0))
-        return [*usual.values(), command, path]
+        error = self._error
+        heading = ObservationBlock(("heading_sin", "heading_cos"), stack(sin(error), cos(error)), signs=(-1.0, 1.0))
+        path = [self._path(), heading] if self.world.defaults.knows_position else [heading]
+        return [*usual.values(), command, *path]
+
+    def critic_blocks(self) -> Sequence[ObservationBlock]:
+        """Return the distance from the path where the robot does not perceive it."""
+        own = [] if self.world.defaults.knows_position else [self._path()]
+        return [*super().critic_blocks(), *own]
+
+    def _path(self) -> ObservationBlock:
+        offset = clip(self._stored("offset"), -OFFSET_LIMIT_M, OFFSET_LIMIT_M)
+        return ObservationBlock(("line_offset",), offset, signs=(-1.0,))
 
     def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
         """Return start poses, and record the states that episodes begin with."""

@@ -51,9 +51,9 @@ export const provided = (section, name, robot, root) =>
 /**
  * Describe one property as a field.
  *
- * @returns {{name: string, label: string, hint: string, unit: string|null, needs: string|null, kind:
- *   "choice"|"flag"|"integer"|"number"|"list"|"json"|"text", nullable: boolean, choices?: any[], low?: number, high?:
- *   number, openLow?: boolean, openHigh?: boolean, fallback: any}}
+ * @returns {{name: string, label: string, hint: string, unit: string|null, needs: string|null, provides:
+ *   string|null, kind: "choice"|"flag"|"integer"|"number"|"list"|"json"|"text", nullable: boolean, choices?: any[],
+ *   low?: number, high?: number, openLow?: boolean, openHigh?: boolean, fallback: any}}
  */
 export function field(name, schema, root) {
   const outer = resolve(schema, root);
@@ -82,6 +82,7 @@ export function field(name, schema, root) {
     hint: outer.description ?? "",
     unit: outer.unit ?? null,
     needs: outer.needs ?? null,
+    provides: outer.provides ?? null,
     nullable,
     low,
     high,

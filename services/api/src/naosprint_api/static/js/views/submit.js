@@ -345,6 +345,8 @@ class SubmitView {
     const there = new Set(
       SECTIONS.flatMap(([name]) => provided(this.training[name], this.peek(`spec.${name}.name`), robot, this.schema)),
     );
+    for (const f of this.fields.values())
+      if (f.spec.provides && (f.peek() ?? null) !== (f.spec.fallback ?? null)) there.add(f.spec.provides);
     for (const f of this.fields.values()) if (f.spec.needs) f.allow(there.has(f.spec.needs));
   }
 

@@ -1,0 +1,103 @@
+"""A policy that learns from a teacher, which observes more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from naospec import TrainingSpec
+from naosprint import train
+from naosprint.rl.distillation import DistillingPPO
+from naosprint.rl.rollout import TrainingEnvironment
+from naosprint.tasks.environment import open_environment, open_training_environment
+from naosprint.tasks.frozen import FrozenPolicy
+from pydantic import ValidationError
+
+from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
+
+Make = Callable[..., TrainingSpec]
+
+TEACHER = "t1-run-steady"
+"""It observes velocity and height, and all of two earlier steps."""
+
+SAME: dict[str, Any] = {"task": "velocity", "robot": "t1", "engine": "fast", "seed": 4}
+STUDENT: dict[str, Any] = {
+    **SAME,
+    "onboard_sensing": True,
+    "n_envs": 4,
+    "n_steps": 32,
+    "batch_size": 32,
+    "hidden_sizes": [16],
+    "teacher": TEACHER,
+    "critic_observations": True,
+}
+ROLLOUT = 4 * 32
+
+
+def test_the_teacher_acts_as_where_it_was_trained(make_spec: Make) -> None:
+    """Episodes that it leads are those of an environment in which it sees everything itself, step by step."""
+    spec = make_spec(
+        **STUDENT,
+        history_steps=1,
+        start_noise_deg=0.0,
+        initial_log_std=-10.0,
+        final_log_std=-10.0,
+        imitation_steps=100 * ROLLOUT,
+        total_steps=100 * ROLLOUT,
+    )
+    environment, n_starts = open_training_environment(spec)
+    teacher = FrozenPolicy(TEACHER)
+    seeing = make_spec(**SAME, history_steps=2, start_noise_deg=0.0)
+    alone = open_environment(seeing, 4, threads=1)
+    try:
+        learner = DistillingPPO(spec, TrainingEnvironment.from_spec(spec, environment, n_starts))
+        assert not {"velocity_x", "height", "line_offset"} & set(environment.observer.names)
+        learner.begin()
+        alone.load_starts(alone.task.starts(n_starts, spec.seed, 0.0))
+        alone.restart(np.arange(4), np.zeros(4, dtype=np.int64))
+        learner.collect()
+        for step in range(spec.algorithm.n_steps):
+            actions = teacher.act(alone.observer, slice(0, 4))
+            assert np.allclose(learner.demonstrations[step], actions, atol=2e-3), step
+            alone.step(learner.rollout.actions[step])
+    finally:
+        environment.close()
+        alone.close()
+
+
+@pytest.mark.parametrize("stopped_at", [ROLLOUT, 2 * ROLLOUT, 3 * ROLLOUT])
+def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorder: Any, stopped_at: int) -> None:
+    """What the teacher remembers is part of checkpoints."""
+    spec = make_spec(**STUDENT, imitation_steps=2 * ROLLOUT, total_steps=4 * ROLLOUT, checkpoint_interval_steps=ROLLOUT)
+    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
+    resumed = train(
+        spec,
+        workdir=tmp_path / "resumed",
+        reporter=recorder,
+        resume=tmp_path / "whole" / f"step-{stopped_at:012d}",
+    )
+    assert_same(resumed.checkpoint, whole.checkpoint)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"imitation_steps": 0}, r"teacher: needs imitation_steps above 0"),
+        ({"critic_observations": False}, r"teacher: needs .* critic_observations=true"),
+        (
+            {"teacher": "t1-getup"},
+            r"algorithm.teacher: 't1-getup' is no bundled policy of robot t1 for task velocity; use",
+        ),
+        ({"teacher": "k1-run"}, r"algorithm.teacher: 'k1-run' is no bundled policy of robot t1"),
+        ({"action_range_rad": 1.0}, r"algorithm.teacher: t1-run-steady has other ranges of actions than robot t1"),
+    ],
+    ids=["without imitation", "blind critic", "another task", "another robot", "another range"],
+)
+def test_a_teacher_that_cannot_teach_is_named_before_the_job_is_accepted(
+    make_spec: Make, settings: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValidationError, match=message):
+        make_spec(**STUDENT | {"imitation_steps": ROLLOUT, "total_steps": ROLLOUT} | settings)
