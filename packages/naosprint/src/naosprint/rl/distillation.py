@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -66,7 +66,7 @@ class DistillingPPO(ImitatingPPO):
         ValueError: if the teacher observes something that is not observed here.
     """
 
-    own_state = (*PPO.own_state, "teacher")
+    own_state: ClassVar[tuple[str, ...]] = (*PPO.own_state, "teacher")
 
     def __init__(self, spec: TrainingSpec, environment: TrainingEnvironment) -> None:
         super().__init__(spec, environment)

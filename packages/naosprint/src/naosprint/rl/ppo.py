@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -179,7 +179,7 @@ class PPO(Learner):
         environment: its environments.
     """
 
-    own_state = ("generator", "episode_starts", "normalizer.returns")
+    own_state: ClassVar[tuple[str, ...]] = ("generator", "episode_starts", "normalizer.returns")
 
     def __init__(self, spec: TrainingSpec, environment: TrainingEnvironment) -> None:
         settings = PPOSettings.of(spec.algorithm)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from naosim.robots import Robot
 
     from naosprint.arrays import FloatArray, IntArray
-    from naosprint.rl.policy import Policy
     from naosprint.tasks.observations import Observer
 
 _MOST_NAMED = 6
@@ -34,6 +33,7 @@ class FrozenPolicy:
         name: its name.
         spec: the specification of the last stage of its training.
         observations: names of what it observes.
+        policy: what acts.
 
     Raises:
         ValueError: if there is no policy of this name.
@@ -46,7 +46,7 @@ class FrozenPolicy:
         self.observations: tuple[str, ...] = tuple(manifest["observations"])
         kind = plugins.load(plugins.LEARNERS, self.spec.algorithm.name)
         with np.load(folder / naopolicies.WEIGHTS) as arrays:
-            self.policy: Policy = kind.load_policy(
+            self.policy = kind.load_policy(
                 dict(arrays), self.spec.algorithm, observations=self.observations, actions=manifest["actions"]
             )
         self._columns: dict[tuple[str, ...], IntArray] = {}
