@@ -96,16 +96,24 @@ class Gradients {
     const Rollout values = other.checked(observations, returns, rows);
     const Rows chosen{rows.data(), static_cast<int>(rows.size())};
     nb::gil_scoped_release release;
-    double value_loss = 0.0;
-    const auto learn_values = [&] { value_loss = other.kernel_->critic(other.network_, values, chosen, coefficient, other.workspace_); };
-    std::thread beside;
-    if (concurrent) beside = std::thread(learn_values);
-    const ActorResult result = kernel_->actor(network_, log_std.data(), gradient, rollout, chosen, normalize, clip_range, workspace_);
-    if (concurrent)
-      beside.join();
-    else
-      learn_values();
+    ActorResult result{};
+    const double value_loss = other.beside(values, chosen, coefficient, concurrent, [&] {
+      result = kernel_->actor(network_, log_std.data(), gradient, rollout, chosen, normalize, clip_range, workspace_);
+    });
     return {result.loss, result.clipped, result.kl, value_loss};
+  }
+
+  // The gradients of an actor (this) that imitates actions, and of a critic.
+  std::tuple<double, double> imitation(Gradients& other, const Floats& observations, const Floats& actions, const Floats& returns, const Index& rows,
+                                       float coefficient, bool concurrent) {
+    require(this != &other, "critic: another network is needed");
+    const Rollout shown = checked(observations, actions, rows), values = other.checked(observations, returns, rows);
+    const Rows chosen{rows.data(), static_cast<int>(rows.size())};
+    nb::gil_scoped_release release;
+    double distance = 0.0;
+    const double value_loss = other.beside(values, chosen, coefficient, concurrent,
+                                           [&] { distance = kernel_->squared(network_, shown, chosen, 1.0f, workspace_); });
+    return {distance, value_loss};
   }
 
   const char* kernel_name() const { return kernel_->name; }
@@ -123,10 +131,25 @@ class Gradients {
             log_std_gradient ? log_std_gradient->data() : nullptr};
   }
 
-  Rollout checked(const Floats& observations, const Floats& returns, const Index& rows) const {
+  Rollout checked(const Floats& observations, const Floats& targets, const Index& rows) const {
     check(observations, rows);
-    require(returns.size() == observations.shape(0) && network_.layers.back().outputs == 1, "returns: wrong shape");
-    return {observations.data(), nullptr, nullptr, nullptr, returns.data()};
+    require(targets.size() == observations.shape(0) * static_cast<std::size_t>(network_.layers.back().outputs), "actions, returns: wrong shape");
+    return {observations.data(), nullptr, nullptr, nullptr, targets.data()};
+  }
+
+  // Compute the squared error's gradient of this critic while an actor learns, on a thread each if `concurrent`; return the error.
+  template <typename Learn>
+  double beside(const Rollout& values, const Rows& chosen, float coefficient, bool concurrent, const Learn& learn) {
+    double value_loss = 0.0;
+    const auto learn_values = [&] { value_loss = kernel_->squared(network_, values, chosen, coefficient, workspace_); };
+    std::thread thread;
+    if (concurrent) thread = std::thread(learn_values);
+    learn();
+    if (concurrent)
+      thread.join();
+    else
+      learn_values();
+    return value_loss;
   }
 
   void check(const Floats& observations, const Index& rows) const {
@@ -228,6 +251,8 @@ NB_MODULE(_kernel, m) {
       .def("both", &Gradients::both, nb::arg("critic"), nb::arg("log_std"), nb::arg("log_std_gradient").none(), nb::arg("observations"),
            nb::arg("actions"), nb::arg("log_probs"), nb::arg("advantages"), nb::arg("returns"), nb::arg("rows"), nb::arg("normalize"),
            nb::arg("clip_range"), nb::arg("coefficient"), nb::arg("concurrent"))
+      .def("imitation", &Gradients::imitation, nb::arg("critic"), nb::arg("observations"), nb::arg("actions"), nb::arg("returns"), nb::arg("rows"),
+           nb::arg("coefficient"), nb::arg("concurrent"))
       .def_prop_ro("kernel", &Gradients::kernel_name);
   m.def("kernels", [] {
     std::vector<std::string> names;

@@ -443,18 +443,23 @@ ActorResult actor(const Network& network, const float* log_std, float* log_std_g
   return {loss / rows.count, static_cast<double>(clipped) / rows.count, kl / rows.count};
 }
 
-double critic(const Network& network, const Rollout& rollout, const Rows& rows, float coefficient, Workspace& workspace) {
+double squared(const Network& network, const Rollout& rollout, const Rows& rows, float coefficient, Workspace& workspace) {
   Net net(network, workspace);
-  const float factor = 2.0f * coefficient / static_cast<float>(rows.count);
+  const int outputs = network.layers.back().outputs;
+  const double count = static_cast<double>(rows.count) * outputs;
+  const float factor = 2.0f * coefficient / static_cast<float>(count);
   double squares = 0.0;
-  const auto fetch = [&](std::int64_t sample) { prefetch(rollout.returns + sample, 1); };
+  const auto fetch = [&](std::int64_t sample) { prefetch(rollout.targets + sample * outputs, outputs); };
   net.pass(rollout.observations, rows, fetch, [&](std::int64_t sample, const float* output, float* error) {
-    const float off = *output - rollout.returns[sample];
-    squares += static_cast<double>(off) * static_cast<double>(off);
-    *error = factor * off;
+    const float* target = rollout.targets + sample * outputs;
+    for (int j = 0; j < outputs; ++j) {
+      const float off = output[j] - target[j];
+      squares += static_cast<double>(off) * static_cast<double>(off);
+      error[j] = factor * off;
+    }
   });
   net.write_gradient();
-  return squares / rows.count;
+  return squares / count;
 }
 
 }  // namespace
@@ -462,6 +467,6 @@ double critic(const Network& network, const Rollout& rollout, const Rows& rows, 
 #define NAOSPRINT_TEXT_(text) #text
 #define NAOSPRINT_TEXT(text) NAOSPRINT_TEXT_(text)
 extern const Kernel kernel;
-const Kernel kernel{NAOSPRINT_TEXT(NAOSPRINT_ISA), actor, critic};
+const Kernel kernel{NAOSPRINT_TEXT(NAOSPRINT_ISA), actor, squared};
 
 }  // namespace naosprint::NAOSPRINT_ISA

@@ -36,8 +36,9 @@ struct Rows {
   int count;
 };
 
+// `targets` are what outputs should be: returns for a critic, demonstrated actions for an actor that imitates.
 struct Rollout {
-  const float *observations, *actions, *log_probs, *advantages, *returns;
+  const float *observations, *actions, *log_probs, *advantages, *targets;
 };
 
 struct ActorResult {
@@ -72,8 +73,8 @@ struct Kernel {
   // Mean of -min(advantage * ratio, advantage * clipped ratio); the gradient of log_std is added up in log_std_gradient if given.
   ActorResult (*actor)(const Network& network, const float* log_std, float* log_std_gradient, const Rollout& rollout, const Rows& rows,
                        bool normalize_advantages, float clip_range, Workspace& workspace);
-  // coefficient * mean squared error; returns the mean squared error.
-  double (*critic)(const Network& network, const Rollout& rollout, const Rows& rows, float coefficient, Workspace& workspace);
+  // coefficient * mean squared error of all outputs; returns the mean squared error.
+  double (*squared)(const Network& network, const Rollout& rollout, const Rows& rows, float coefficient, Workspace& workspace);
 };
 
 const Kernel& best_kernel();

@@ -28,6 +28,16 @@ class Gradients:
         coefficient: float,
         concurrent: bool,
     ) -> tuple[float, float, float, float]: ...
+    def imitation(
+        self,
+        critic: Gradients,
+        observations: Float32Array,
+        actions: Float32Array,
+        returns: Float32Array,
+        rows: IntArray,
+        coefficient: float,
+        concurrent: bool,
+    ) -> tuple[float, float]: ...
 
 def kernels() -> list[str]: ...
 

@@ -136,15 +136,33 @@ class KernelGradients:
             settings.value_coefficient,
             self._concurrent,
         )
-        self._unseen.zero_()
         if spread is not None:
             spread -= settings.entropy_coefficient
             if self._pairs is not None:
                 spread.copy_(0.5 * (spread + spread[self._pairs]))
-        for parameter, gradient in self._written:
-            # the kernel overwrites these arrays next time
-            parameter.grad = gradient
+        self._hand_over()
         return policy_loss, value_loss, float(gaussian_entropy(log_std.detach())), clipped, kl
+
+    def imitation(self, samples: Samples, chosen: Tensor) -> tuple[float, float]:
+        """Compute the gradients of both networks in imitation; see :meth:`naosprint.rl.ppo.Losses.imitation`."""
+        distance, value_loss = self._actor.imitation(
+            self._critic,
+            samples.observations.numpy(),
+            samples.actions.numpy(),
+            samples.returns.numpy(),
+            chosen.numpy(),
+            self._settings.value_coefficient,
+            self._concurrent,
+        )
+        self._hand_over()
+        self._log_std.grad = None
+        return distance, value_loss
+
+    def _hand_over(self) -> None:
+        """Give the parameters the gradients that the kernel has written, and will overwrite next time."""
+        self._unseen.zero_()
+        for parameter, gradient in self._written:
+            parameter.grad = gradient
 
 
 def gaussian_entropy(log_std: Tensor) -> Tensor:

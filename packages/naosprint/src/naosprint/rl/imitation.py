@@ -8,14 +8,12 @@ import numpy as np
 import torch
 
 from naosprint.rl.gradients import Samples, gaussian_entropy
-from naosprint.rl.networks import actor_of
-from naosprint.rl.ppo import PPO, Losses, explained_variance
+from naosprint.rl.ppo import PPO, explained_variance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from naospec import TrainingSpec
-    from torch import Tensor
 
     from naosprint.arrays import Float32Array, FloatArray
     from naosprint.rl.rollout import TrainingEnvironment
@@ -40,8 +38,6 @@ class ImitatingPPO(PPO):
     def __init__(self, spec: TrainingSpec, environment: TrainingEnvironment) -> None:
         super().__init__(spec, environment)
         self._require_demonstrations()
-        self._network = actor_of(self.policy)
-        self._torch_losses = Losses(self.policy, self.settings)
         self.demonstrations: Float32Array = self.rollout.actions[:0]
 
     def _require_demonstrations(self) -> None:
@@ -86,15 +82,14 @@ class ImitatingPPO(PPO):
         observations, returns = rollout.flat("observations"), rollout.flat("returns")
         shown = torch.from_numpy(self.demonstrations.reshape(-1, self.environment.n_actions))
         parameters = list(self.policy.parameters())
-        samples = Samples(observations, shown, returns, returns, returns)
+        samples = self._losses.prepare(Samples(observations, shown, returns, returns, returns))
         losses: list[tuple[float, ...]] = []
         batch_size = settings.batch_size // self.processes.size
         for _ in range(settings.n_epochs):
             order = torch.randperm(len(returns), generator=self.generator)
             for first in range(0, len(returns), batch_size):
                 chosen = order[first : first + batch_size]
-                figures = (self._distance(samples, chosen), self._torch_losses.critic(samples, chosen))
-                losses.append(self._mean_of_processes(parameters, figures))
+                losses.append(self._mean_of_processes(parameters, self._losses.imitation(samples, chosen)))
                 self._require_finite(losses[-1], 0.0)
                 self._optimizer.step()
         self._n_passes += settings.n_epochs
@@ -115,12 +110,3 @@ class ImitatingPPO(PPO):
             "entropy": float(gaussian_entropy(self.policy.log_std.detach())),
             "learning_rate": rate,
         }
-
-    def _distance(self, samples: Samples, chosen: Tensor) -> float:
-        """Compute the gradient of the mean squared distance of the means from what was shown; return the distance."""
-        for parameter in (*self._network.parameters(), self.policy.log_std):
-            parameter.grad = None
-        mean = self._network(samples.observations.index_select(0, chosen))
-        loss = (mean - samples.actions.index_select(0, chosen)).square().mean()
-        torch.autograd.backward(loss)
-        return float(loss.detach())

@@ -161,6 +161,18 @@ class Losses:
             clipped = float(((ratio - 1.0).abs() > clip).float().mean())
             return float(policy_loss), float(entropy), clipped, kl
 
+    def imitation(self, samples: Samples, chosen: Tensor) -> tuple[float, float]:
+        """Compute the gradients of both networks for the samples ``chosen``, whose actions are demonstrations.
+
+        Returns:
+            Mean squared distance of the means from the demonstrations, and value loss.
+        """
+        _forget(*self._actor.parameters(), self._log_std)
+        mean = self._actor(samples.observations.index_select(0, chosen))
+        distance = (mean - samples.actions.index_select(0, chosen)).square().mean()
+        distance.backward()
+        return float(distance.detach()), self.critic(samples, chosen)
+
     def critic(self, samples: Samples, chosen: Tensor) -> float:
         """Compute the gradient of the value loss for the samples ``chosen``, (k,) indices, and return the loss."""
         _forget(*self._critic.parameters())
