@@ -9,7 +9,7 @@ import numpy as np
 from naosprint.rl.imitation import ImitatingPPO
 from naosprint.rl.ppo import PPO
 from naosprint.tasks.frozen import FrozenPolicy
-from naosprint.tasks.observations import PAST
+from naosprint.tasks.observations import PAST, TOLD
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,7 +39,10 @@ class Teacher:
         self._policy = FrozenPolicy(name)
         names = self._policy.observations
         present = [each for each in names if PAST not in each]
-        self._columns = self._policy.columns((*observer.names, *observer.critic_names), present)
+        there = (*observer.names, *observer.critic_names)
+        # what a critic is told is what the teacher knew, where a policy estimates it
+        seen = [TOLD + each if TOLD + each in there else each for each in present]
+        self._columns = self._policy.columns(there, seen)
         self._steps = len(names) // len(present)
         self.memory: FloatArray = np.zeros((len(observer.observations), len(names)))
 

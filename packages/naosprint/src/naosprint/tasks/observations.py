@@ -48,6 +48,9 @@ if TYPE_CHECKING:
 PAST = "_ago"
 """Between an observation's name and how many steps ago it was observed."""
 
+TOLD = "told_"
+"""Before the name of an observation that a critic has besides the policy's own estimate of it."""
+
 _AXES = ("x", "y", "z")
 NEVER = 1e6  # steps since a report that there has not been
 
@@ -350,6 +353,17 @@ def _onboard_pose(world: World) -> ObservationBlock:
     )
 
 
+def _told_pose(world: World) -> ObservationBlock:
+    """True yaw and height, with rates, for critics and teachers of robots that estimate them."""
+    return ObservationBlock(
+        (f"{TOLD}yaw", f"{TOLD}height"),
+        stack(world.true_yaw, world.true_position[2]),
+        signs=(-1.0, 1.0),
+        rates=True,
+        angular=True,
+    )
+
+
 def _centre_of_mass(world: World) -> ObservationBlock:
     """Centre of mass in metres in the torso's frame, by forward kinematics from the perceived angles, with rates."""
     kind = model_of(world.robot).robot_type
@@ -565,6 +579,7 @@ BLOCKS: dict[str, Callable[[World], ObservationBlock]] = {
     "heading": _heading,
     "height": _height,
     "onboard_pose": _onboard_pose,
+    "told_pose": _told_pose,
     "centre_of_mass": _centre_of_mass,
     "gyro": _gyro,
     "accel": _accel,

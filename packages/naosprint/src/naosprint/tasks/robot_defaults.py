@@ -50,7 +50,7 @@ _BOOSTER_HEIGHTS_M = {"T1": (0.45, 0.57), "K1": (0.37, 0.47)}
 def _nao(robot: Robot) -> RobotDefaults:
     """Return the paper's observations and heights; an onboard robot estimates its yaw and height.
 
-    Only critics and teachers know its velocity then.
+    Only critics and teachers are told these and its velocity then.
     """
     names = _NAO
     onboard = bool(getattr(robot.parameters, "onboard_sensing", False))
@@ -58,7 +58,7 @@ def _nao(robot: Robot) -> RobotDefaults:
         names = tuple("onboard_pose" if name == "yaw" else name for name in _NAO if name != "height")
     if getattr(robot.parameters, "ground_velocity", False):
         names = (*names, "ground_velocity")
-    hidden = ("ground_velocity",) if onboard else ()
+    hidden = ("told_pose", "ground_velocity") if onboard else ()
     return RobotDefaults(names, 0.27, 0.33, hidden, knows_position=not onboard)
 
 
