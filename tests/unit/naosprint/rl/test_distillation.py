@@ -20,49 +20,64 @@ from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 
 Make = Callable[..., TrainingSpec]
 
-TEACHER = "t1-run-steady"
-"""It observes velocity and height, and all of two earlier steps."""
-
-SAME: dict[str, Any] = {"task": "velocity", "robot": "t1", "engine": "fast", "seed": 4}
-STUDENT: dict[str, Any] = {
-    **SAME,
+T1: dict[str, Any] = {"task": "velocity", "robot": "t1", "engine": "fast"}
+NAO: dict[str, Any] = {"task": "sprint1", "robot": "nao-0"}
+LEARNING: dict[str, Any] = {
     "onboard_sensing": True,
     "n_envs": 4,
     "n_steps": 32,
     "batch_size": 32,
     "hidden_sizes": [16],
-    "teacher": TEACHER,
     "critic_observations": True,
+    "seed": 4,
 }
+STUDENT = T1 | LEARNING | {"teacher": "t1-run-steady"}
 ROLLOUT = 4 * 32
 
 
-def test_the_teacher_acts_as_where_it_was_trained(make_spec: Make) -> None:
+@pytest.mark.parametrize(
+    ("robot", "teacher", "seeing", "unseen"),
+    [
+        (T1, "t1-run-steady", {"history_steps": 2}, {"velocity_x", "height", "line_offset"}),
+        (NAO, "sprint-hour", {"ground_velocity": True}, {"forward_velocity", "told_yaw", "told_height"}),
+    ],
+    ids=["t1", "nao"],
+)
+def test_the_teacher_acts_as_where_it_was_trained(
+    make_spec: Make, robot: dict[str, Any], teacher: str, seeing: dict[str, Any], unseen: set[str]
+) -> None:
     """Episodes that it leads are those of an environment in which it sees everything itself, step by step."""
+    long = 100 * ROLLOUT
+    quiet: dict[str, Any] = {"initial_log_std": -10.0, "final_log_std": -10.0}
     spec = make_spec(
-        **STUDENT,
+        **robot,
+        **LEARNING,
+        **quiet,
+        teacher=teacher,
         history_steps=1,
         start_noise_deg=0.0,
-        initial_log_std=-10.0,
-        final_log_std=-10.0,
-        imitation_steps=100 * ROLLOUT,
-        total_steps=100 * ROLLOUT,
+        imitation_steps=long,
+        total_steps=long,
     )
     environment, n_starts = open_training_environment(spec)
-    teacher = FrozenPolicy(TEACHER)
-    seeing = make_spec(**SAME, history_steps=2, start_noise_deg=0.0)
-    alone = open_environment(seeing, 4, threads=1)
+    frozen = FrozenPolicy(teacher)
+    alone = open_environment(make_spec(**robot, **seeing, seed=4, start_noise_deg=0.0), 4, threads=1)
     try:
         learner = DistillingPPO(spec, TrainingEnvironment.from_spec(spec, environment, n_starts))
-        assert not {"velocity_x", "height", "line_offset"} & set(environment.observer.names)
+        assert not unseen & set(environment.observer.names)
+        assert unseen <= set(environment.observer.critic_names)
         learner.begin()
         alone.load_starts(alone.task.starts(n_starts, spec.seed, 0.0))
         alone.restart(np.arange(4), np.zeros(4, dtype=np.int64))
         learner.collect()
+        compared = 0
         for step in range(spec.algorithm.n_steps):
-            actions = teacher.act(alone.observer, slice(0, 4))
-            assert np.allclose(learner.demonstrations[step], actions, atol=2e-3), step
+            actions = frozen.act(alone.observer, slice(0, 4))
+            begun = learner.rollout.episode_starts[: step + 1].sum(axis=0) == 1.0
+            assert np.allclose(learner.demonstrations[step, begun], actions[begun], atol=2e-3), step
+            compared += begun.sum()
             alone.step(learner.rollout.actions[step])
+        assert compared > 2 * spec.algorithm.n_steps, "in first episodes"
     finally:
         environment.close()
         alone.close()

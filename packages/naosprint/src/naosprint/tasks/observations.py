@@ -354,7 +354,7 @@ def _onboard_pose(world: World) -> ObservationBlock:
 
 
 def _told_pose(world: World) -> ObservationBlock:
-    """True yaw and height, with rates, for critics and teachers of robots that estimate them."""
+    """Return true yaw and height, with rates, for critics and teachers of robots that estimate them."""
     return ObservationBlock(
         (f"{TOLD}yaw", f"{TOLD}height"),
         stack(world.true_yaw, world.true_position[2]),
