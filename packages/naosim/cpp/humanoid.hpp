@@ -20,15 +20,17 @@ struct Topology {
   const int *parents, *axes, *geom_bodies, *geom_shapes;
 };
 
+struct Robot;
+
 // What the kernels use of MuJoCo for contacts that they do not compute.
 struct Library {
-  void (*kinematics)(const void* model, void* data);
-  void (*collision)(const void* model, void* data);
+  void (*collide)(void* worlds, const Robot& robot);  // find the contacts of the robot's mjData
+  void* worlds;
   double step;                 // s
   int first_geom, ball;        // the robot's first geom, the ball's; -1 without a ball
 };
 
-// One robot as the kernel sees it: its model and the arrays of its mjData. The ball's arrays are null where there is none.
+// One robot as the kernel sees it: its numbers and the arrays of its mjData. The ball's arrays are null where there is none.
 struct Robot {
   const void* numbers;    // Varied of humanoid_model.hpp
   std::uint64_t version;  // of the numbers: robots with the same version have the same numbers
@@ -36,7 +38,6 @@ struct Robot {
   double *qpos, *qvel, *warm, *sensordata;
   const double* ctrl;
   double *ball_qpos, *ball_qvel, *ball_warm;
-  const void* model;
   void* data;
   int key = 0;            // contacts and iterations of the last substep; alike robots share a group
   bool settled = false;   // false: the kernel has left the robot as it was, and mj_step must take the substep

@@ -469,8 +469,7 @@ inline void put_found(const Shared& m, const Library& mujoco, const Robot& robot
 
 // Let MuJoCo find the contacts that are not computed above, and add them to the lane's.
 inline void search(const Shared& m, const Library& mujoco, const Robot& robot, const Group& g, Work& w, int lane) {
-  mujoco.kinematics(robot.model, robot.data);
-  mujoco.collision(robot.model, robot.data);
+  mujoco.collide(mujoco.worlds, robot);
   const char* data = static_cast<const char*>(robot.data);
   const int count = *reinterpret_cast<const int*>(data + kCount);
   const Found* found = *reinterpret_cast<const Found* const*>(data + kContacts);

@@ -14,6 +14,7 @@
 #include <cstdio>
 #include <cstring>
 #include <map>
+#include <mutex>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -85,11 +86,89 @@ struct Layout {
 };
 
 struct World {
-  const void* model;
   void* data;
   double *ctrl, *sensordata, *qpos;
   double* joint_speeds;  // the joints' part of qvel
   double *xpos, *xmat;                   // of all bodies
+};
+
+// The models of robots that differ from each other. A model has up to 21 MB of meshes, and what differs is some kilobytes: each robot
+// has its own numbers, and each thread a model into which it copies those of the robot that it steps.
+class Models {
+ public:
+  explicit Models(std::uint64_t shared, std::size_t rows) : shared_(pointer<const void>(shared)), numbers_(rows) {}
+
+  // `models`: one for each thread; `parts`: where in each of them the numbers are, model by model; `counts`: how many, part by part.
+  void use(const Addresses& models, const Addresses& parts, const std::vector<int>& counts) {
+    require(parts.size() == models.size() * counts.size(), "parts: one address for each model and part is needed");
+    counts_ = counts;
+    for (std::size_t k = 0; k < models.size(); ++k) {
+      std::vector<double*> places;
+      for (std::size_t p = 0; p < counts.size(); ++p) places.push_back(pointer<double>(parts.data()[k * counts.size() + p]));
+      own_.push_back({pointer<const void>(models.data()[k]), places, -1});
+    }
+  }
+
+  void set(int row, const Doubles& numbers) {
+    std::size_t sum = 0;
+    for (int count : counts_) sum += static_cast<std::size_t>(count);
+    require(!own_.empty() && numbers.size() == sum, "numbers: wrong number");
+    numbers_[row].assign(numbers.data(), numbers.data() + sum);
+    for (Own& own : own_)
+      if (own.row == row) own.row = -1;
+  }
+
+ private:
+  struct Own {
+    const void* model;
+    std::vector<double*> parts;
+    int row;  // whose numbers it has; -1: nobody's
+    bool taken = false;
+  };
+
+ public:
+  // The model of a robot, for as long as this lives. A thread holds one at a time.
+  class Held {
+   public:
+    Held(Models& models, int row) : models_(models), own_(models.take(row)) {}
+    ~Held() {
+      if (own_ == nullptr) return;
+      std::lock_guard<std::mutex> lock(models_.mutex_);
+      own_->taken = false;
+    }
+    Held(const Held&) = delete;
+    Held& operator=(const Held&) = delete;
+    operator const void*() const { return own_ != nullptr ? own_->model : models_.shared_; }
+
+   private:
+    Models& models_;
+    Own* own_;
+  };
+
+ private:
+  // A model that no thread holds, with the robot's numbers; nullptr if it has those of all.
+  Own* take(int row) {
+    const std::vector<double>& numbers = numbers_[row];
+    if (numbers.empty()) return nullptr;
+    Own* found = nullptr;
+    {
+      std::lock_guard<std::mutex> lock(mutex_);
+      for (Own& own : own_)
+        if (!own.taken && (found == nullptr || own.row == row)) found = &own;
+      found->taken = true;  // there are as many as threads
+    }
+    if (found->row == row) return found;
+    const double* from = numbers.data();
+    for (std::size_t p = 0; p < counts_.size(); from += counts_[p++]) std::copy_n(from, counts_[p], found->parts[p]);
+    found->row = row;
+    return found;
+  }
+
+  const void* shared_;
+  std::vector<std::vector<double>> numbers_;  // of each row; none: those of the shared model
+  std::vector<int> counts_;
+  std::vector<Own> own_;
+  std::mutex mutex_;
 };
 
 class Worlds {
@@ -112,10 +191,12 @@ class Worlds {
         truncate_(truncate),
         kp_(kp),
         kd_(kd),
+        shared_model_(pointer<const void>(model)),
+        models_(model, data.size()),
         bodies_(bodies),
         pool_(threads) {
     for (std::size_t k = 0; k < data.size(); ++k)
-      worlds_.push_back({pointer<const void>(model), pointer<void>(data.data()[k]), pointer<double>(ctrl.data()[k]), pointer<double>(sensordata.data()[k]),
+      worlds_.push_back({pointer<void>(data.data()[k]), pointer<double>(ctrl.data()[k]), pointer<double>(sensordata.data()[k]),
                          pointer<double>(qpos.data()[k]), pointer<double>(speeds.data()[k]),
                          pointer<double>(xpos.data()[k]), pointer<double>(xmat.data()[k])});
     const std::size_t n = worlds_.size(), joints = static_cast<std::size_t>(layout.joints);
@@ -187,7 +268,7 @@ class Worlds {
   // One row of a snapshot: integration state, sensordata, contacts with the ball, what the kernel remembers, pending command.
   void save(int row, double* out) const {
     const World& world = worlds_[row];
-    get_state_(world.model, world.data, out, layout_.signature);
+    get_state_(shared_model_, world.data, out, layout_.signature);
     out += layout_.state;
     std::memcpy(out, world.sensordata, sizeof(double) * layout_.sensors());
     out += layout_.sensors();
@@ -202,7 +283,7 @@ class Worlds {
 
   void load(int row, const double* from) {
     const World& world = worlds_[row];
-    set_state_(world.model, world.data, from, layout_.signature);
+    set_state_(shared_model_, world.data, from, layout_.signature);
     from += layout_.state;
     std::memcpy(world.sensordata, from, sizeof(double) * layout_.sensors());
     for (int s = 0; s < substeps_; ++s) note_contacts(row, s);
@@ -229,10 +310,7 @@ class Worlds {
   // Forget which rows were active: the state is not the last substep's.
   void forget(int row) { std::fill_n(remembered(row), layout_.rows, std::uint8_t{0}); }
 
-  void set_model(int row, std::uint64_t model) {
-    worlds_[row].model = pointer<const void>(model);
-    if (kernel_ != nullptr) robots_[row].model = worlds_[row].model;
-  }
+  Models& models() { return models_; }
 
   // Step robots of one kind together, with the kernel's equations instead of mj_step; `isa` empty: the best that runs here. `warm`:
   // addresses of qacc_warmstart; `first_geom`: of the robot; `ball`: the ball's geom, -1 without one; `moving`: the kernel's numbers
@@ -243,7 +321,7 @@ class Worlds {
     require(kernel != nullptr, "isa: expected generic, avx2 or avx512, which this processor must have");
     require(layout_.joints == kernel->topology.bodies - 1 && layout_.torso == (ball < 0 ? 0 : 7), "kernel: of another robot");
     require(shared.size() * sizeof(double) == kernel->shared && warm.size() == worlds_.size(), "kernel: wrong number of numbers");
-    library_ = {kinematics_, collision_, step, first_geom, ball};
+    library_ = {collide, this, step, first_geom, ball};
     shared_.assign(shared.data(), shared.data() + shared.size());
     require(moving.size() == bodies_.size(), "moving: one number per body is needed");
     for (int body : moving) require(body >= 0 && body < kernel->topology.bodies + (ball >= 0), "moving: out of range");
@@ -257,7 +335,7 @@ class Worlds {
       double *speeds = world.joint_speeds - 6, *accelerations = pointer<double>(warm.data()[k]), *none = nullptr;
       const bool with_ball = ball >= 0;
       robots_[k] = {&varied_[k * kernel->varied / sizeof(double)], 0, &remembered_[k * kernel->rows], world.qpos + layout_.torso, speeds, accelerations + (with_ball ? 6 : 0), world.sensordata,
-                    world.ctrl, with_ball ? world.qpos : none, with_ball ? speeds - 6 : none, with_ball ? accelerations : none, world.model, world.data};
+                    world.ctrl, with_ball ? world.qpos : none, with_ball ? speeds - 6 : none, with_ball ? accelerations : none, world.data};
     }
     kernel_ = kernel;
   }
@@ -278,8 +356,10 @@ class Worlds {
   // Nothing but mj_step, for benchmarks.
   void step_bare(int cycles) {
     for (int cycle = 0; cycle < cycles; ++cycle)
-      for (const World& world : worlds_)
-        for (int s = 0; s < substeps_; ++s) step_(world.model, world.data);
+      for (int row = 0; row < size(); ++row) {
+        const Models::Held model(models_, row);
+        for (int s = 0; s < substeps_; ++s) step_(model, worlds_[row].data);
+      }
   }
 
   std::vector<double> pending, joint_angles, joint_speeds, torques, torso_quat, torso_pos, gyro, accel, position, rotation, foot_frames;
@@ -320,14 +400,14 @@ class Worlds {
         collided_ += robots[k]->collided;
         if (!robots[k]->settled) {
           world_warning = &warnings[row];
-          step_(worlds_[row].model, worlds_[row].data);
+          step_(Models::Held(models_, row), worlds_[row].data);
           world_warning = nullptr;
           ++left_to_mujoco_;
         } else if (layout_.parts) {
           double time;
-          get_state_(worlds_[row].model, worlds_[row].data, &time, kTime);
+          get_state_(shared_model_, worlds_[row].data, &time, kTime);
           time += library_.step;
-          set_state_(worlds_[row].model, worlds_[row].data, &time, kTime);
+          set_state_(shared_model_, worlds_[row].data, &time, kTime);
         }
         note_contacts(row, s);
       }
@@ -356,13 +436,22 @@ class Worlds {
     const World& world = worlds_[row];
     command(row, targets);
     world_warning = &warnings[row];
-    for (int s = 0; s < substeps_; ++s) {
-      step_(world.model, world.data);
-      note_contacts(row, s);
+    {
+      const Models::Held model(models_, row);
+      for (int s = 0; s < substeps_; ++s) {
+        step_(model, world.data);
+        note_contacts(row, s);
+      }
     }
     world_warning = nullptr;
     publish(row);
     publish_bodies(&row, 1);
+  }
+
+  static void collide(void* worlds, const naosim::humanoid::Robot& robot) {
+    Worlds& self = *static_cast<Worlds*>(worlds);
+    const Models::Held model(self.models_, static_cast<int>(&robot - self.robots_.data()));
+    for (Compute compute : {self.kinematics_, self.collision_}) compute(model, robot.data);
   }
 
   std::uint8_t* remembered(int row) { return remembered_.data() + static_cast<std::size_t>(row) * layout_.rows; }
@@ -415,7 +504,7 @@ class Worlds {
     diverged[r] = !std::isfinite(sum) || std::fabs(x[0]) + std::fabs(x[1]) + std::fabs(x[2]) > kFarthest;
     if (layout_.parts) {
       double time;
-      get_state_(worlds_[row].model, worlds_[row].data, &time, kTime);
+      get_state_(shared_model_, worlds_[row].data, &time, kTime);
       if (std::lround(time / kStep) % 2 == 0)  // the server reports what is seen in every other cycle
         publish_ball(row);
       else
@@ -452,10 +541,11 @@ class Worlds {
     }
     for (int k = 0; k < count; ++k) {  // what mj_step has left in the data is 5 ms older; the next step computes it again
       const World& world = worlds_[rows[k]];
-      for (Compute compute : {kinematics_, centres_, velocities_}) compute(world.model, world.data);
+      const Models::Held model(models_, rows[k]);
+      for (Compute compute : {kinematics_, centres_, velocities_}) compute(model, world.data);
       for (std::size_t b = 0; b < bodies; ++b) {
         double motion[6];
-        velocity_of_(world.model, world.data, kBody, bodies_[b], motion, 0);
+        velocity_of_(model, world.data, kBody, bodies_[b], motion, 0);
         put(b, rows[k], world.xpos + 3 * bodies_[b], world.xmat + 9 * bodies_[b], motion + 3, motion);
       }
     }
@@ -480,6 +570,8 @@ class Worlds {
   int substeps_, delay_;
   bool truncate_;
   Doubles kp_, kd_;  // of every world's motors, which Python changes
+  const void* shared_model_;
+  Models models_;
   std::vector<World> worlds_;
   const Kernel* kernel_ = nullptr;  // null: mj_step
   naosim::humanoid::Library library_;
@@ -576,7 +668,10 @@ NB_MODULE(_mujoco, m) {
            })
       .def("refresh", [](Worlds& self, int row) { self.refresh(row_of(self, row)); })
       .def("forget", [](Worlds& self, int row) { self.forget(row_of(self, row)); })
-      .def("set_model", [](Worlds& self, int row, std::uint64_t model) { self.set_model(row_of(self, row), model); })
+      .def("use_models", [](Worlds& self, const Addresses& models, const Addresses& parts, const std::vector<int>& counts) {
+             self.models().use(models, parts, counts);
+           }, nb::arg("models"), nb::arg("parts"), nb::arg("counts"))
+      .def("set_own", [](Worlds& self, int row, const Doubles& numbers) { self.models().set(row_of(self, row), numbers); })
       .def("use_kernel", &Worlds::use_kernel, nb::arg("robot"), nb::arg("isa"), nb::arg("shared"), nb::arg("warm"), nb::arg("step"),
            nb::arg("first_geom"), nb::arg("ball"), nb::arg("moving"))
       .def("set_numbers", [](Worlds& self, int row, const Doubles& varied) { self.set_numbers(row_of(self, row), varied); })

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.humanoid import topology_difference
+from naosim.mujoco.settings import Engine
 from naosim.mujoco.world import SUBSTEPS, MujocoWorld, library, world_of
 from naosim.robots.booster import K1, T1
 from naosim.simulator import Scene, Variation
@@ -231,6 +232,33 @@ def test_robots_differ_in_what_is_not_shared_only() -> None:
         getattr(model, name)[5] += 0.01
         with pytest.raises(ValueError, match=f"world: {name} differ"):
             batch.set_world(1, replace(world, model=model))
+
+
+@pytest.mark.parametrize("engine", ["fast", "mujoco"])
+@pytest.mark.parametrize("robot", [T1, K1])
+def test_robots_that_share_models_move_as_with_their_own(robot: Robot, engine: Engine) -> None:
+    """Every bit of a model, and of the states after steps of more robots than threads have models."""
+    world, rng = world_of(robot, engine=engine), np.random.default_rng(6)
+    stiffest = 1.0 if robot == K1 else 2.0
+    others = [
+        world.varied(Variation(0.2, 0.2, 0.02, rng.uniform(0.4, 1.2), 1.1, rng.uniform(0.5, stiffest)), rng)
+        for _ in range(5)
+    ]
+    worlds = [*others, world]
+    batch = filled(world, robot, 6, threads=2)
+    # the fast engine has the stiffness of one robot for all, and others' as factors
+    alone = [filled(world if engine == "fast" else each, robot, 6) for each in worlds]
+    for row, other in enumerate(others):
+        batch.set_world(row, other)
+        if engine == "fast":
+            alone[row].set_world(row, other)
+    for _ in range(3):
+        targets = np.array(robot.nominal) + rng.normal(size=(6, world.joints)) * 0.3
+        for each in (batch, *alone):
+            each.step(targets)
+        for row, each in enumerate(alone):
+            assert equal_models(batch.model(row), worlds[row].model)
+            np.testing.assert_array_equal(batch.save()[row], each.save()[row])
 
 
 def test_a_variation_of_nothing_changes_no_bit() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from naosim.mujoco.humanoid import SHARED, Parts, shared_numbers, topology_difference, varied_numbers
-from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, MujocoWorld, contact_parameters, library, motor_gains
+from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, MujocoWorld, contact_parameters, library, motor_gains, own_arrays
 from naosim.simulator import TOUCHING, BodyState, RobotMotion
 
 if TYPE_CHECKING:
@@ -64,7 +65,9 @@ class MujocoBatch:
         self._mujoco = mujoco = library()
         self.n = n
         self.world = world
-        self._models = [world.model] * n
+        self._threads = threads
+        self._own: dict[int, Floats] = {}  # numbers of the worlds that differ, by row
+        self._models: list[Any] = []  # into which they are copied: one for each thread, and one for this class
         self.kp, self.kd = (np.repeat(each[None], n, axis=0) for each in motor_gains(world.model))
         self.data = [world.new_data() for _ in range(n)]
         signature = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
@@ -160,7 +163,7 @@ class MujocoBatch:
         self._worlds.step_bare(cycles)
 
     def set_world(self, row: int, world: MujocoWorld) -> None:
-        """Replace the model of one world by another with the same bodies and joints.
+        """Give one world the numbers of another with the same bodies and joints.
 
         Raises:
             ValueError: if it differs in what a kernel has once for all robots of a batch.
@@ -173,16 +176,29 @@ class MujocoBatch:
                 f"world: {', '.join(shared)} differ, which robots of a batch share in the fast engine; only masses, "
                 "centres of mass, gains, friction, gravity and the stiffness of contacts may"
             )
-        self._models[row] = world.model  # the loop has only its address
+        if not self._models:
+            self._models = [copy.copy(self.world.model) for _ in range(self._threads + 1)]
+            arrays = [own_arrays(model) for model in self._models[1:]]
+            self._worlds.use_models(
+                models=_addresses(model._address for model in self._models[1:]),
+                parts=_addresses(array.ctypes.data for one in arrays for array in one),
+                counts=[array.size for array in arrays[0]],
+            )
+        self._own[row] = np.concatenate([np.ravel(array) for array in own_arrays(world.model)])
+        self._worlds.set_own(row, self._own[row])
         self.kp[row], self.kd[row] = motor_gains(world.model)
-        self._worlds.set_model(row, world.model._address)
         if self._kernel:
             self._worlds.set_numbers(row, varied_numbers(world))
 
-    def own_model(self, row: int) -> Any:
-        """Return the model of a world that differs from the others; None if it has the model of all."""
-        model = self._models[row]
-        return None if model is self.world.model else model
+    def model(self, row: int) -> Any:
+        """Return the model of a world, to be used before the next call."""
+        if row not in self._own:
+            return self.world.model
+        arrays = own_arrays(self._models[0])
+        parts = np.split(self._own[row], np.cumsum([array.size for array in arrays])[:-1])
+        for array, numbers in zip(arrays, parts, strict=True):
+            array[...] = numbers.reshape(array.shape)
+        return self._models[0]
 
     @property
     def left_to_mujoco(self) -> int:
@@ -231,7 +247,7 @@ class MujocoBatch:
         data, ball, camera = self.data[row], BALL_JOINT, self.world.camera
         data.qpos[ball : ball + 7] = (*position, 1.0, 0.0, 0.0, 0.0)
         data.qvel[ball : ball + 6] = (*velocity, *spin)
-        self._mujoco.mj_kinematics(self._models[row], data)
+        self._mujoco.mj_kinematics(self.model(row), data)
         rotation = data.site_xmat[camera].reshape(3, 3)
         data.sensordata[-3:] = rotation.T @ (position - data.site_xpos[camera])
         self._worlds.refresh(row)
@@ -264,7 +280,7 @@ class MujocoBatch:
         data.qvel[first - 6 :] = np.concatenate([motion.torso_mps[k], spin, motion.joints_rad_s[k]])
         data.qacc_warmstart[first - 6 :] = 0.0
         data.ctrl[1::3] = motion.targets_rad[k]
-        mujoco.mj_forward(self._models[row], data)
+        mujoco.mj_forward(self.model(row), data)
         self._worlds.forget(row)
         self._worlds.save(row, state)
         state[-self.world.joints :] = motion.targets_rad[k]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -65,7 +64,7 @@ class MujocoSimulator(Simulator):
         self.latency_steps = 1 + parameters.action_delay
         self._starts: Floats | None = None
         self._failures = 0
-        self._varied = False
+        self._varied: Any = None  # model in which variations are computed
         self.groups = halves(n)
         self._begun: set[int] = set()
         self._pending: dict[int, tuple[Floats, Flags]] = {}
@@ -270,13 +269,11 @@ class MujocoSimulator(Simulator):
     def vary(self, variations: Sequence[Variation], rng: np.random.Generator, rows: Ints | None = None) -> None:
         """Give robots other bodies, gains, contacts, friction and gravity."""
         self.require_open()
-        if not self._varied:
-            # own models take up to 23 MB each, unseen by Python's collector: free those of simulators that are gone
-            gc.collect()
-            self._varied = True
         numbers = range(self.n) if rows is None else rows.tolist()
         for row, variation in zip(numbers, variations, strict=True):
-            self.batch.set_world(row, self.world.varied(variation, rng, self.batch.own_model(row)))
+            varied = self.world.varied(variation, rng, self._varied)
+            self._varied = varied.model
+            self.batch.set_world(row, varied)
 
     # worlds can diverge
 

@@ -9,6 +9,7 @@ attached, which enters the weights of the constraints.
 from __future__ import annotations
 
 import copy
+import ctypes
 import math
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -106,7 +107,26 @@ _VARIED = (
     "actuator_gainprm",
     "actuator_biasprm",
 )
-"""Arrays of a model that variations change, besides gravity and what MuJoCo computes from them."""
+"""Arrays of a model that variations change, besides gravity."""
+
+_COMPUTED = (
+    "actuator_acc0",
+    "body_invweight0",
+    "body_subtreemass",
+    "dof_M0",
+    "dof_invweight0",
+    "dof_length",
+    "light_poscom0",
+)
+"""Arrays of a model that MuJoCo computes from these (``mj_setConst``), besides its statistics."""
+
+
+def own_arrays(model: Any) -> list[Floats]:
+    """Return views of everything in a model that differs between variations of a world."""
+    # mjStatistic of mujoco.h begins with four numbers and the centre; Python has a view of the centre only
+    centre = model.stat.center
+    statistics = np.ctypeslib.as_array((ctypes.c_double * 7).from_address(centre.ctypes.data - 4 * centre.itemsize))
+    return [getattr(model, name) for name in (*_VARIED, *_COMPUTED)] + [model.opt.gravity, statistics]
 
 
 @dataclass(frozen=True)
@@ -156,7 +176,7 @@ class MujocoWorld:
             variation: what differs, and how much.
             rng: draws how.
             used: model of an earlier variation of this world, which is changed; without one the model is copied, with
-                its meshes.
+                its meshes, which take up to 21 MB.
 
         Raises:
             ValueError: if contacts cannot be so stiff with MuJoCo's steps.
