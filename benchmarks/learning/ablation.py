@@ -104,7 +104,7 @@ STUDIES = {
     ),
     "teacher": Study(
         "t1-run-steady",
-        6_000_000,
+        4_000_000,
         DISTURBED
         | {
             "task": "velocity",
@@ -134,7 +134,7 @@ STUDIES = {
         },
         {
             "alone": {},
-            "with a teacher": {"teacher": "t1-run-steady", "imitation_steps": 3_000_000},
+            "with a teacher": {"teacher": "t1-run-steady", "imitation_steps": 2_000_000},
         },
         "rmse_settled_mps",
         "settled RMSE, m/s",
