@@ -19,7 +19,7 @@ class PolicyAgent:
     """Convert a server's messages to observations, and observations to joint speeds."""
 
     def __init__(self, path):
-        self.__dict__.update(np.load(path), features=None)
+        self.__dict__.update(np.load(path), features=None, past=[])
 
     def perceive(self, message):
         """Store the joint angles in degrees, gyro, accelerometer, and centre and force of left and right foot."""
@@ -51,7 +51,9 @@ class PolicyAgent:
         self.features, self.loaded = now, loaded
         velocity = (torso[:2, 3] - self.position) / self.cycle_s if self.sees_velocity else []
         self.position = torso[:2, 3]
-        return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters, velocity])
+        seen = np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters, velocity])
+        self.past = [seen, *(self.past or [seen] * 99)[:98]]  # the latest first; steps before the first are like it
+        return np.concatenate(self.past[: len(self.mean) // len(seen)])
 
     def act(self, observation):
         """Return the joints' target angles in radians, in the server's order and with its signs."""

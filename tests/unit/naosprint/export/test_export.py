@@ -312,18 +312,20 @@ def _message(environment: Environment) -> str:
     return "".join(parts)
 
 
-@pytest.mark.parametrize("sees_velocity", [False, True])
+@pytest.mark.parametrize(
+    "settings", [{}, {"ground_velocity": True}, {"history_steps": 2}], ids=["", "velocity", "past"]
+)
 def test_example_agent_sees_and_does_what_the_environment_does(
     checkpoint: Path,
     exported: Path,
     agent: ModuleType,
     make_spec: Callable[..., TrainingSpec],
     tmp_path: Path,
-    sees_velocity: bool,
+    settings: dict[str, Any],
 ) -> None:
     """From a server's messages it computes the same observations and joint speeds, step by step through a whole run."""
-    if sees_velocity:
-        spec = make_spec(ground_velocity=True, total_steps=256)
+    if settings:
+        spec = make_spec(**settings, total_steps=256)
         checkpoint = train(spec, workdir=tmp_path, reporter=NullReporter()).checkpoint
         exported = export_policy(checkpoint, tmp_path / "export", ["numpy"])[0].parent
     policy, manifest = load_policy(checkpoint)
