@@ -81,7 +81,10 @@ def folder_of(robot: str, directory: Path) -> Path:
         ({"name": "t1"}, "getup"),
         ({"name": "nao-4"}, "sprint2"),
         ({"name": "nao-0", "ground_velocity": True}, {"name": "sprint1", "history_steps": 2}),
-        ({"name": "t1"}, {"name": "velocity", "history_steps": 3}),
+        (
+            {"name": "t1", "onboard_sensing": True},
+            {"name": "velocity", "history_steps": 3, "turn_acceleration_rad_s2": 4.0},
+        ),
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "kick", "power_fraction": 0.0}),
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "kick", "power_fraction": 1.0, "rolling_fraction": 1.0}),
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "dribble", "walker": "t1-run-steady"}),  # approaches commands
@@ -93,7 +96,7 @@ def folder_of(robot: str, directory: Path) -> Path:
         "t1-getup",
         "nao-4",
         "nao-0-velocity-history",
-        "t1-history",
+        "t1-onboard-history",
         "t1-pass",
         "t1-power-kick",
         "t1-dribble",
