@@ -321,10 +321,13 @@ def test_the_form_offers_what_robot_and_simulator_can_do(browser: Browser, token
     choose("simulator", "server")
     assert offered(*settings) == [False, True, True, False]
     choose("simulator", "embedded")
+    choose("task", "velocity")
+    browser.set("[name='spec.algorithm.teacher']", "t1-run-steady")
+    assert offered("algorithm.imitation_steps") == [True], "a teacher demonstrates, too"
+    browser.set("[name='spec.algorithm.teacher']", "")
+    assert offered("algorithm.imitation_steps") == [False]
     choose("task", "getup")
     assert offered(*settings) == [True] * 4
-    choose("robot", "k1")
-    assert offered("algorithm.imitation_steps") == [False]
     choose("robot", "nao-0")
     assert browser.js("return document.querySelector(\"[name='spec.task.name']\").selectedOptions[0].text") != "getup"
     browser.set("[name='spec.total_steps']", "512")
