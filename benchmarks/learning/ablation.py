@@ -136,8 +136,8 @@ STUDIES = {
             "alone": {},
             "with a teacher": {"teacher": "t1-run-steady", "imitation_steps": 2_000_000},
         },
-        "rmse_settled_mps",
-        "settled RMSE, m/s",
+        "rmse_mps",
+        "RMSE, m/s",
     ),
 }
 
@@ -145,8 +145,8 @@ STUDIES = {
 def measured(workdir: Path, study: Study, variant: str, seed: int, steps: int, episodes: int) -> dict[str, Any]:
     """Train one seed of a variant on one core, and evaluate it under each condition; once, then read what was found."""
     name = f"{list(study.variants).index(variant)}-{seed}"
-    found = workdir / f"{name}.json"
-    if not found.exists():
+    kept = workdir / f"{name}.json"
+    if not kept.exists():
         set_learner_threads(1)
         settings = {**study.settings, **study.variants[variant], **ONE_CORE}
         spec = spec_of(seed=seed, total_steps=steps, log_std_steps=steps, **settings)
@@ -156,11 +156,13 @@ def measured(workdir: Path, study: Study, variant: str, seed: int, steps: int, e
         checkpoint = max(folder.glob("step-*"), key=lambda path: read_manifest(path).steps)
         conditions = {}
         for condition in robustness.conditions(checkpoint, episodes=episodes, threads=1):
-            results = by_name(condition)
-            conditions[condition["disturbance"]] = {name: results[name]["value"] for name in study.results}
-        record = {"steps": read_manifest(checkpoint).steps, "core_s": round(core_s), "conditions": conditions}
-        found.write_text(json_text({**record, "machine": machine()}), encoding="utf-8")
-    record = json.loads(found.read_text(encoding="utf-8"))
+            found = {name: result["value"] for name, result in by_name(condition).items()}
+            if "fall_rate" not in found:
+                found["fall_rate"] = 1.0 - found["upright_rate"]
+            conditions[condition["disturbance"]] = {name: found[name] for name in study.results}
+        record = {"steps": read_manifest(checkpoint).steps, "core_s": round(core_s) or None, "conditions": conditions}
+        kept.write_text(json_text({**record, "machine": machine()}), encoding="utf-8")
+    record = json.loads(kept.read_text(encoding="utf-8"))
     return {"variant": variant, "seed": seed, **record}
 
 

@@ -167,7 +167,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
 def begin(policy: str) -> tuple[Any, NetworkPolicy]:
     """Return an environment at the start of an episode, and the policy."""
     loaded, manifest = load_policy(naopolicies.folder(policy))
-    environment = open_environment(manifest.spec, 1, threads=1)
+    environment = open_environment(manifest.stage_spec, 1, threads=1)
     environment.load_starts(environment.task.starts(1, 0, 2.0))
     environment.restart(np.arange(1), np.zeros(1, dtype=np.int64))
     return environment, loaded
