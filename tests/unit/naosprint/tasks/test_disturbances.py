@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from naosim import robots
+from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.settings import BoosterEmbeddedParameters, Engine
 from naosim.robots.booster import T1
@@ -39,6 +40,11 @@ def run(environment: Environment, steps: int) -> np.ndarray:
         environment.step(still)
         found.append(environment.simulator.truth.torso_position.copy())
     return np.array(found)
+
+
+def numbers(batch: MujocoBatch, name: str) -> np.ndarray:
+    """Return an array of the model of every robot."""
+    return np.array([getattr(batch.model(row), name).copy() for row in range(batch.n)])
 
 
 def test_without_settings_nothing_differs() -> None:
@@ -98,16 +104,17 @@ def test_every_robot_has_its_own_gains_centre_of_mass_and_contacts(engine: Engin
     environment = environment_of(24, engine=engine, **settings)
     simulator = environment.simulator
     assert isinstance(simulator, MujocoSimulator)
-    usual, models = simulator.world.model, simulator.batch._models
+    usual = simulator.world.model
+    ipos, solref = numbers(simulator.batch, "body_ipos"), numbers(simulator.batch, "geom_solref")
     kp = simulator.batch.kp / usual.actuator_gainprm[1::3, 0]
     kd = simulator.batch.kd / usual.actuator_gainprm[2::3, 0]
     for factors in (kp, kd):
         assert 0.8 <= factors.min() < 0.82 and 1.18 < factors.max() <= 1.2
         assert len(np.unique(factors)) == factors.size
     torso = usual.body("robot-torso").id
-    shifts = np.array([model.body_ipos[torso] - usual.body_ipos[torso] for model in models])
+    shifts = ipos[:, torso] - usual.body_ipos[torso]
     assert 0.018 < np.abs(shifts).max() <= 0.02 and len(np.unique(shifts)) == shifts.size
-    times = np.array([model.geom_solref[simulator.world.geoms[0], 0] for model in models])
+    times = solref[:, simulator.world.geoms[0], 0]
     assert 0.01 <= times.min() < 0.012 and 0.035 < times.max() <= 0.04
     assert [block.names for block in environment.disturbances.critic_blocks()] == [
         ("friction", "gravity"),
@@ -253,8 +260,8 @@ def test_disturbances_grow_with_success_and_shrink_with_failures(engine: Engine)
     assert growing.disturbances.strength == 0.25
     after_episodes(growing, 40, failed=False)
     assert growing.disturbances.strength == 1.0
-    masses = [growing.simulator.batch._models[row].body_mass for row in range(4)]  # type: ignore[attr-defined]
-    assert np.ptp(np.array(masses), axis=0).max() > 0.0
+    masses = numbers(growing.simulator.batch, "body_mass")  # type: ignore[attr-defined]
+    assert np.ptp(masses, axis=0).max() > 0.0
     assert (np.abs(growing.disturbances._world[:, 0] - 0.45) <= 0.05).all()
     assert len(set(growing.disturbances._stiffness[:, 0].tolist())) == 4
     assert np.abs(run(growing, 12) - run(ideal, 12)).max() > 0.01
@@ -270,8 +277,7 @@ def test_worlds_are_drawn_once_for_a_robot_or_for_every_episode() -> None:
         for _ in range(3):
             after_episodes(environment, 1, failed=False)
             friction = environment.disturbances._world[:, 0]
-            masses = np.array([batch._models[row].body_mass for row in range(environment.n)])
-            found.append(np.column_stack([friction, masses]))
+            found.append(np.column_stack([friction, numbers(batch, "body_mass")]))
         assert (found[0][~disturbed] == found[1][~disturbed]).all()
         assert (found[0][:, 0] == 1.0).tolist() == (~disturbed).tolist()
         assert (found[0] != found[1])[disturbed][:, 0].all() == by_episode
