@@ -114,6 +114,7 @@ class Models {
     for (int count : counts_) sum += static_cast<std::size_t>(count);
     require(!own_.empty() && numbers.size() == sum, "numbers: wrong number");
     numbers_[row].assign(numbers.data(), numbers.data() + sum);
+    std::lock_guard<std::mutex> lock(mutex_);  // others may be stepped in the background
     for (Own& own : own_)
       if (own.row == row) own.row = -1;
   }
@@ -156,11 +157,11 @@ class Models {
       for (Own& own : own_)
         if (!own.taken && (found == nullptr || own.row == row)) found = &own;
       found->taken = true;  // there are as many as threads
+      if (found->row == row) return found;
+      found->row = row;
     }
-    if (found->row == row) return found;
     const double* from = numbers.data();
     for (std::size_t p = 0; p < counts_.size(); from += counts_[p++]) std::copy_n(from, counts_[p], found->parts[p]);
-    found->row = row;
     return found;
   }
 

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from naospec import TrainingSpec
+from naosprint import train
 from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, POLICY, read_arrays
 
 
@@ -24,3 +26,11 @@ def assert_same(first: Path, second: Path) -> None:
     assert ours.keys() == theirs.keys()
     for name in ours:
         assert np.array_equal(ours[name], theirs[name]), name
+
+
+def assert_resumes(spec: TrainingSpec, stopped_at: int, workdir: Path, recorder: Any) -> None:
+    """Resume a training from its checkpoint at ``stopped_at`` steps, and compare how both end, bit for bit."""
+    whole = train(spec, workdir=workdir / "whole", reporter=recorder)
+    start = workdir / "whole" / f"step-{stopped_at:012d}"
+    resumed = train(spec, workdir=workdir / "resumed", reporter=recorder, resume=start)
+    assert_same(resumed.checkpoint, whole.checkpoint)

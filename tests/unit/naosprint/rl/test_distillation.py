@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from naospec import TrainingSpec
-from naosprint import train
 from naosprint.rl.distillation import DistillingPPO
 from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.tasks.environment import open_environment, open_training_environment
 from naosprint.tasks.frozen import FrozenPolicy
 from pydantic import ValidationError
 
-from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
+from ..checkpoints import assert_resumes  # noqa: TID252 - a module of these tests
 
 Make = Callable[..., TrainingSpec]
 
@@ -87,14 +86,7 @@ def test_the_teacher_acts_as_where_it_was_trained(
 def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorder: Any, stopped_at: int) -> None:
     """What the teacher remembers is part of checkpoints."""
     spec = make_spec(**STUDENT, imitation_steps=2 * ROLLOUT, total_steps=4 * ROLLOUT, checkpoint_interval_steps=ROLLOUT)
-    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
-    resumed = train(
-        spec,
-        workdir=tmp_path / "resumed",
-        reporter=recorder,
-        resume=tmp_path / "whole" / f"step-{stopped_at:012d}",
-    )
-    assert_same(resumed.checkpoint, whole.checkpoint)
+    assert_resumes(spec, stopped_at, tmp_path, recorder)
 
 
 @pytest.mark.parametrize(

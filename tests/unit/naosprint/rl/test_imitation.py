@@ -15,7 +15,7 @@ from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.tasks.environment import open_training_environment
 from pydantic import ValidationError
 
-from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
+from ..checkpoints import assert_resumes  # noqa: TID252 - a module of these tests
 
 Make = Callable[..., TrainingSpec]
 
@@ -75,14 +75,7 @@ def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorde
         total_steps=4 * ROLLOUT,
         checkpoint_interval_steps=ROLLOUT,
     )
-    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
-    resumed = train(
-        spec,
-        workdir=tmp_path / "resumed",
-        reporter=recorder,
-        resume=tmp_path / "whole" / f"step-{stopped_at:012d}",
-    )
-    assert_same(resumed.checkpoint, whole.checkpoint)
+    assert_resumes(spec, stopped_at, tmp_path, recorder)
 
 
 def test_a_task_that_demonstrates_nothing_is_named(
