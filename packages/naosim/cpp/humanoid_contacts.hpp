@@ -277,6 +277,35 @@ inline void place_geoms(const Shared& m, const Work& w, Placed& at) {
   }
 }
 
+// How far a mesh extends at most in a direction, from the middle of its box. It is convex in the direction, so between the grid's
+// points it is no more than what is interpolated.
+inline double extent(const double (&table)[6][kCells + 1][kCells + 1], const double direction[3]) {
+  int k = 0;  // the longest component, whose sign says the side
+  for (int i = 1; i < 3; ++i)
+    if (std::abs(direction[i]) > std::abs(direction[k])) k = i;
+  const double length = std::abs(direction[k]), half = 0.5 * kCells;
+  const double x = half * (direction[(k + 1) % 3] / length + 1.0), y = half * (direction[(k + 2) % 3] / length + 1.0);
+  if (!(x >= 0.0 && x <= kCells && y >= 0.0 && y <= kCells)) return 1e9;  // NaN
+  const int i = std::min(static_cast<int>(x), kCells - 1), j = std::min(static_cast<int>(y), kCells - 1);
+  const double fx = x - i, fy = y - j;
+  const auto& side = table[2 * k + (direction[k] < 0.0)];
+  return length * ((1.0 - fx) * ((1.0 - fy) * side[i][j] + fy * side[i][j + 1]) + fx * ((1.0 - fy) * side[i + 1][j] + fy * side[i + 1][j + 1]));
+}
+// Lanes, of some, in which a mesh is clear of a side of the box around another geom. d: from the box's middle to the mesh's.
+__attribute__((noinline)) inline Mask clear_of_box(const Shared& m, Mask some, int mesh, const Rot& axes, Vec d, const Rot& box, const double* half) {
+  Mask clear = Mask{};
+  for (int k = 0; k < 3; ++k) {
+    const Vec side = box.column(k), back = inverse_rotate(axes, side);
+    const Real away = dot(d, side);
+    for (int l = 0; l < kLanes; ++l) {
+      if (!some[l] || clear[l]) continue;
+      const double sign = away[l] < 0.0 ? 1.0 : -1.0, direction[3] = {sign * back.x[l], sign * back.y[l], sign * back.z[l]};
+      if (std::abs(away[l]) > half[k] + extent(m.extent[meshes_before(mesh)], direction) + 1e-9) clear[l] = -1;
+    }
+  }
+  return clear;
+}
+
 // Lanes in which two geoms may touch, of which g2 is not round: there MuJoCo looks for contacts. d = o1 - o2.
 inline Mask may_touch(const Shared& m, const Placed& at, int g1, int g2, Vec d) {
   const double *h1 = m.hull[g1], *h2 = m.hull[g2];
@@ -284,6 +313,8 @@ inline Mask may_touch(const Shared& m, const Placed& at, int g1, int g2, Vec d) 
   Mask touch = boxes_touch(at.axes[g1], at.axes[g2], d, h1, h2);
   const bool c1 = kGeomShape[g1] == kCylinder, c2 = kGeomShape[g2] == kCylinder;
   if ((c1 || c2) && any(touch)) touch &= ~separated(d, at.axes[g1], h1, c1, at.axes[g2], h2, c2);
+  if (kGeomShape[g1] == kMesh && any(touch)) touch &= ~clear_of_box(m, touch, g1, at.axes[g1], d, at.axes[g2], h2);
+  if (kGeomShape[g2] == kMesh && any(touch)) touch &= ~clear_of_box(m, touch, g2, at.axes[g2], -1.0 * d, at.axes[g1], h1);
   return touch;
 }
 

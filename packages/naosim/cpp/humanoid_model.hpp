@@ -17,6 +17,14 @@ inline constexpr int at(int i, int j) { return i * (i + 1) / 2 + j; }
 
 constexpr bool is_round(int geom) { return kGeomShape[geom] == kSphere || kGeomShape[geom] == kCapsule; }
 
+// Meshes, and the cells of the table of how far each extends: on a side of the cube of directions, along one edge.
+constexpr int meshes_before(int geom) {
+  int count = 0;
+  for (int k = 0; k < geom; ++k) count += kGeomShape[k] == kMesh;
+  return count;
+}
+constexpr int kMeshes = meshes_before(kGeoms), kCells = 8;
+
 // What the solver remembers of a robot's rows, a byte each: the points at which a geom can touch the floor, the joints' friction,
 // and the pairs of spheres and capsules.
 constexpr int points_before(int geom) {
@@ -59,6 +67,9 @@ struct Shared {
     double camera, place[3], turn[9];            // its body, its pose there
   } ball;
   double goals, goal[2][6];  // how many; corners of the box around each
+  // how far meshes extend from the middle of their box, times the length of these directions in their axes: sides x, -x, y, -y, z, -z
+  // of a cube, on each a grid along the next two axes
+  double extent[kMeshes ? kMeshes : 1][6][kCells + 1][kCells + 1];
 };
 
 // Numbers that randomisation changes: one robot's doubles, or a group's vectors.

@@ -142,6 +142,20 @@ def equal_models(one: Any, other: Any) -> bool:
     return buffers[0].tobytes() == buffers[1].tobytes()
 
 
+@pytest.mark.parametrize("pitch", [-0.3, 0.6, 0.85])
+def test_meshes_are_bounded_by_more_than_their_boxes(pitch: float) -> None:
+    """A K1 that looks down has the box around its head in that around its torso, but touches nothing."""
+    world = world_of(K1, engine="fast")
+    batch = filled(world, K1)
+    pose = K1.nominal.copy()
+    pose[K1.joint_names.index("head_pitch")] = pitch
+    for data in batch.data:
+        data.qpos[world.torso :] = (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, *pose)
+        data.qvel[:] = 0.0
+    batch.step(np.tile(pose, (N, 1)))
+    assert batch.collided_by_mujoco == 0
+
+
 def test_a_cycle_is_mj_steps() -> None:
     world, rng = world_of(T1, engine="fast"), np.random.default_rng(8)
     batch = filled(world, T1, 120)

@@ -25,6 +25,8 @@ _LIMITS = (1e-4, 0.9999)  # mjMINIMP, mjMAXIMP
 SHARED = (*("body_pos", "dof_damping", "dof_armature", "dof_frictionloss", "jnt_range", "geom_size", "geom_solimp"),)
 """Arrays of a model that are numbers of the whole batch, and that randomisation might change."""
 
+_CELLS = 8  # kCells of the kernel
+
 _CONTACT_COUNT, _CONTACTS = 161576, 162432
 """Where ``ncon`` and ``contact`` are in MuJoCo's ``mjData``; humanoid_contacts.hpp has the same numbers."""
 
@@ -113,6 +115,7 @@ def shared_numbers(world: MujocoWorld) -> Floats:
         _collides(model, at),
         _ball_numbers(world, at, step),
         _goal_numbers(world, at),
+        _extents(model, at),
     ]
     return np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in parts])
 
@@ -188,6 +191,22 @@ def _goal_numbers(world: MujocoWorld, at: Parts) -> Floats:
     for k, each in enumerate(boxes.values()):
         corners[k] = np.min([box[0] for box in each], axis=0), np.max([box[1] for box in each], axis=0)
     return np.concatenate([[len(boxes)], corners.ravel()])
+
+
+def _extents(model: Any, at: Parts) -> Floats:
+    """Return how far each mesh extends from the middle of its box, in directions on a cube's surface."""
+    edge = np.linspace(-1.0, 1.0, _CELLS + 1)
+    grid = np.stack([np.ones((_CELLS + 1,) * 2), *np.meshgrid(edge, edge, indexing="ij")], axis=-1)
+    sides = np.stack([np.roll(grid * (sign, 1.0, 1.0), k, axis=-1) for k in range(3) for sign in (1.0, -1.0)])
+    meshes = np.flatnonzero(model.geom_type[at.geoms] == library().mjtGeom.mjGEOM_MESH) + at.geoms.start
+    out = np.zeros((max(len(meshes), 1), *sides.shape[:-1]))
+    for row, geom in zip(out, meshes, strict=False):
+        mesh = model.geom_dataid[geom]
+        # vertices of the hull: number, number of faces, their edges, and which of the mesh's they are
+        graph = model.mesh_graph[model.mesh_graphadr[mesh] :]
+        hull = model.mesh_vertadr[mesh] + graph[2 + graph[0] : 2 + 2 * graph[0]]
+        row[:] = (sides @ (model.mesh_vert[hull] - model.geom_aabb[geom, :3]).T).max(axis=-1)
+    return out
 
 
 def _impedance(solref: Floats, solimp: Floats, step: float) -> list[float]:

@@ -56,9 +56,6 @@ if TYPE_CHECKING:
 UPRIGHT = 0.6
 """Upward component of the torso's axis below which a robot has fallen."""
 
-FOOT_M = 0.106
-"""Distance of a foot's line from the robot's, metres."""
-
 
 class BallSettings(
     FallSettings, PenaltySettings, DisturbanceSettings, BallNoiseSettings, AccelerationSettings, EntrySettings

@@ -13,7 +13,7 @@ from naosim.simulator import BALL, STEP_S
 from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field
 
-from naosprint.tasks.ball import FOOT_M, BallTask, NearBallSettings, components, principal
+from naosprint.tasks.ball import BallTask, NearBallSettings, components, principal
 from naosprint.tasks.base import End, RewardTerm
 from naosprint.tasks.falls import FALL, FALL_RATE
 from naosprint.tasks.measurements import StoredNumbers
@@ -312,7 +312,8 @@ class Dribble(BallTask[DribbleSettings]):
         line, turn, speed = self.stored("line"), self._turn, self.stored("speed")
         ahead, across = self._behind[0], self._behind[1]
         begun = where(self._first_sight, self.stored("sighted"), line)
-        aside = across - where(across >= 0.0, FOOT_M, -FOOT_M)
+        foot = self.world.defaults.foot_line_m
+        aside = across - where(across >= 0.0, foot, -foot)
         ready = clip(2.0 - absolute(aside) / 0.1 - absolute(turn) / 0.3, 0.0, 1.0)
         forward = speed * ready + (1.0 - ready) * clip((ahead - 0.4) * 2.0, -0.4, 0.8)
         walk = self._walk(forward, clip(aside * 3.0, -0.5, 0.5), (-0.4, -0.5, -1.0), (2.0, 0.5, 1.0))

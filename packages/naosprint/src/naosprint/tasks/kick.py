@@ -17,7 +17,7 @@ from naosim.simulator import BALL, STEP_S
 from naospec.metrics import Chart, Presentation
 
 from naosprint.tasks import rolling
-from naosprint.tasks.ball import FOOT_M, BallTask, principal
+from naosprint.tasks.ball import BallTask, principal
 from naosprint.tasks.base import End, RewardTerm
 from naosprint.tasks.falls import FALL, FALL_RATE
 from naosprint.tasks.kick_results import (
@@ -238,7 +238,7 @@ class Kick(BallTask[KickSettings]):
         side, kicked, turn, speed = self.stored("side"), self.stored("kicked"), self._turn, self.stored("speed")
         ahead, across = self._behind[0], self._behind[1]
         chosen = where(self._first_sight, where(across >= 0.0, 1.0, -1.0), side)
-        aside = across - side * FOOT_M
+        aside = across - side * self.world.defaults.foot_line_m
         ready = clip(1.6 - absolute(aside) / 0.05 - absolute(turn) / 0.2, 0.0, 1.0)
         # a soft kick begins with a slow walk
         through = clip(given("launch_speed", speed) * 0.25, 0.4, 0.8)
@@ -270,7 +270,8 @@ class Kick(BallTask[KickSettings]):
             near + (far - near) * draw[4],
             settings.ball_near_m + (settings.ball_far_m - settings.ball_near_m) * draw[4],
         )
-        beside = np.where(draw[5] < 0.5, -FOOT_M, FOOT_M) + line * (2.0 * draw[6] - 1.0)
+        foot = self.world.defaults.foot_line_m * np.where(draw[5] < 0.5, -1.0, 1.0)
+        beside = foot + line * (2.0 * draw[6] - 1.0)
         aside = np.where(
             aligned, (beside + np.sin(aim) * ahead) / np.cos(aim), settings.ball_aside_m * (2.0 * draw[6] - 1.0)
         )

@@ -34,6 +34,8 @@ class RobotDefaults:
     """Names of the blocks that only critics observe, because the robot does not perceive them."""
     knows_position: bool = True
     """Whether the robot is told where it is; tasks with a ball need that."""
+    foot_line_m: float = 0.1
+    """Distance of a foot's line from the robot's, metres: a ball that is to be kicked lies on it."""
     motions: str | None = None
     """Name of its scripted motions in ``naosprint/tasks/motion_data``; None without any."""
 
@@ -45,6 +47,7 @@ _NAO: tuple[str, ...] = (
 _BOOSTER = ("gravity", "gyro", "velocity", "height", "heading", "joint_angles", "joint_speeds", "last_action")
 _BOOSTER_WORLD = ("velocity", "height")  # from the position that only a simulator knows
 _BOOSTER_HEIGHTS_M = {"T1": (0.45, 0.57), "K1": (0.37, 0.47)}
+_BOOSTER_FOOT_LINES_M = {"T1": 0.106, "K1": 0.096}
 
 
 def _nao(robot: Robot) -> RobotDefaults:
@@ -68,8 +71,14 @@ def _booster(robot: Robot) -> RobotDefaults:
     onboard = bool(getattr(robot.parameters, "onboard_sensing", False))
     hidden = _BOOSTER_WORLD if onboard else ()
     perceived = tuple(name for name in _BOOSTER if name not in hidden)
-    heights = _BOOSTER_HEIGHTS_M[model]
-    return RobotDefaults(perceived, *heights, hidden, knows_position=not onboard, motions=model.lower())
+    return RobotDefaults(
+        perceived,
+        *_BOOSTER_HEIGHTS_M[model],
+        hidden,
+        knows_position=not onboard,
+        foot_line_m=_BOOSTER_FOOT_LINES_M[model],
+        motions=model.lower(),
+    )
 
 
 _FAMILIES: Mapping[str, Callable[[Robot], RobotDefaults]] = {"nao": _nao, "booster": _booster}
