@@ -12,19 +12,17 @@ if TYPE_CHECKING:
     from naosprint.arrays import Float32Array, FloatArray, IntArray
 
 
-def hashed(seed: int, *keys: IntArray) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
-    """Return one 64-bit hash for each row of the keys (the finalizer of splitmix64).
+def hashed(seed: int, *keys: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
+    """Return one 64-bit hash for each element of the keys (the finalizer of splitmix64).
 
     Args:
         seed: any seed.
-        keys: one to three arrays of (k,) integers.
+        keys: one to three arrays of integers, of shapes that broadcast.
     """
     factors = (0xD1B54A32D192ED03, 0x8CB92BA72F3D8DD7, 0xAEF17502108EF2D9)
-    key: np.ndarray[tuple[int], np.dtype[np.uint64]] = np.full(
-        len(keys[0]), seed * 0x9E3779B97F4A7C15 % 2**64, dtype=np.uint64
-    )
+    key = np.array(seed * 0x9E3779B97F4A7C15 % 2**64, dtype=np.uint64)
     for values, factor in zip(keys, factors, strict=False):
-        key += values.astype(np.uint64) * np.uint64(factor)
+        key = key + values.astype(np.uint64) * np.uint64(factor)
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return key ^ (key >> np.uint64(31))
@@ -35,8 +33,7 @@ def uniform(seed: int, rows: IntArray, draws: IntArray, count: int) -> FloatArra
 
     The stream is the number of the robot in a training, and of the episode in an evaluation: see ``World.streams``.
     """
-    columns = [hashed(seed, rows, draws, np.full(len(rows), column)) for column in range(count)]
-    return np.stack(columns, axis=1).astype(np.float64) / 2.0**64
+    return hashed(seed, rows[:, None], draws[:, None], np.arange(count)).astype(np.float64) / 2.0**64
 
 
 def normal(seed: int, streams: IntArray, draws: IntArray, count: int) -> FloatArray:
