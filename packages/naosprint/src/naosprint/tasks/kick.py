@@ -150,6 +150,17 @@ class Kick(BallTask[KickSettings]):
         }
         if settings.sight_share < 1.0:
             self.arrays["tracked"] = np.zeros((n, 2))  # where the ball is, evened out over sights
+        self._again = settings.least_share > 0.0
+        self._asked: FloatArray = np.zeros((n, 2))  # aim and speed of the first kick
+        self._since: IntArray = np.full(n, -1) if self._again else self._touched  # steps since the last kick's touch
+        if self._again:
+            self.arrays |= {
+                "asked": self._asked,
+                "since": self._since,
+                "weak": np.zeros(n, dtype=np.bool_),  # the last kick was too weak
+                "noticed": np.zeros((n, 2)),  # where the ball was when a kick was perceived
+                "point": np.zeros((n, 2)),  # where the ball is to be kicked to
+            }
         self._walks: BoolArray = np.zeros(n, dtype=np.bool_)
         self.frozen = self._walks
         self._gain: FloatArray = np.zeros(n)
@@ -193,8 +204,13 @@ class Kick(BallTask[KickSettings]):
     @property
     def _aimed(self) -> Number:
         kicked = minimum((self.stored("kicked") + 1.0) / 10.0, 1.0)
-        power, speed = given("power", self.stored("power")), given("launch_speed", self.stored("speed"))
-        return stack(sin(self._turn), cos(self._turn), self._behind, speed, power, kicked)
+        power = given("power", self.stored("power"))
+        return stack(sin(self._turn), cos(self._turn), self._behind, self._launch_speed, power, kicked)
+
+    @property
+    def _launch_speed(self) -> Number:
+        """Speed with which the ball has to roll off; an exported skill is given that of the first kick."""
+        return self.stored("speed") if self._again else given("launch_speed", self.stored("speed"))
 
     @property
     def _progress(self) -> Number:
@@ -228,6 +244,42 @@ class Kick(BallTask[KickSettings]):
             Store(kicked, begin=constant(-1.0), update=kicked + (kicked >= 0.0)),
             Store(kicked, update=where(now, 0.0, kicked)),
             *tracking,
+            *(self._judge(now) if self._again else []),
+        ]
+
+    def _judge(self, now: Number) -> list[Store]:
+        """Return what is stored of weak kicks: when the walker would take over, the robot kicks again instead.
+
+        Args:
+            now: whether a kick is perceived in this step.
+        """
+        names = ("kicked", "weak", "noticed", "point", "aim", "speed", "expected")
+        kicked, weak, noticed, point, aim, speed, expected = (self.stored(name) for name in names)
+        place, direction = self._seen_at, stack(cos(aim), sin(aim))
+        # the point to kick to is ahead of where the ball is first seen
+        first = place + direction * rolling.straight(speed)
+        # a kicked ball slides, and will roll more slowly
+        velocity = (place - noticed) / (maximum(kicked - self._age, 1.0) * STEP_S)
+        rolls = hypot(velocity[0], velocity[1]) / rolling.SLIDES
+        stop = place + velocity * (rolling.straight(rolls) / maximum(rolls * rolling.SLIDES, 1e-6))
+        left = point - stop
+        short = along(aim, left)[0] > (1.0 - self.parameters.least_share) * rolling.straight(speed)
+        due = equal(kicked, float(self.parameters.takeover_steps)) & (self._age < kicked)
+        anew = rolling.speed_of(hypot(left[0], left[1]))
+        return [
+            Store(speed, begin=given("launch_speed", speed)),
+            Store(point, begin=first, update=where(equal(self.stored("sightings"), 0.0), first, point)),
+            Store(noticed, begin=place, update=where(now, place, noticed)),
+            Store(weak, begin=constant(0.0), update=due & short),
+            Store(expected, update=where(weak, velocity, expected)),
+            *(
+                [Store(self.stored("tracked"), update=where(weak, place, self.stored("tracked")))]
+                if "tracked" in self.arrays
+                else []
+            ),
+            Store(speed, update=where(weak & ~(given("power", self.stored("power")) > 0.0), anew, speed)),
+            Store(aim, update=where(weak, arctan2(left[1], left[0]), aim)),
+            Store(kicked, update=where(weak, -1.0, kicked)),
         ]
 
     def _steer(self) -> list[Store]:
@@ -235,13 +287,13 @@ class Kick(BallTask[KickSettings]):
 
         Bring the foot behind the ball, walk through it, and stand once it has been kicked.
         """
-        side, kicked, turn, speed = self.stored("side"), self.stored("kicked"), self._turn, self.stored("speed")
+        side, kicked, turn = self.stored("side"), self.stored("kicked"), self._turn
         ahead, across = self._behind[0], self._behind[1]
         chosen = where(self._first_sight, where(across >= 0.0, 1.0, -1.0), side)
         aside = across - side * self.world.defaults.foot_line_m
         ready = clip(1.6 - absolute(aside) / 0.05 - absolute(turn) / 0.2, 0.0, 1.0)
         # a soft kick begins with a slow walk
-        through = clip(given("launch_speed", speed) * 0.25, 0.4, 0.8)
+        through = clip(self._launch_speed * 0.25, 0.4, 0.8)
         forward = through * ready + (1.0 - ready) * clip((ahead - 0.52) * 2.0, -0.3, 0.8)
         walk = self._walk(forward, clip(aside * 3.0, -0.45, 0.45), (0.0, -0.45, -1.0), (1.0, 0.45, 1.0))
         approaching = (kicked < 0.0) & (self.stored("sightings") > 0.0)
@@ -281,6 +333,7 @@ class Kick(BallTask[KickSettings]):
         self._target[rows, 0] = principal(heading + aim)
         self._target[rows, 1] = np.where(self._power[rows], KickSettings.model_fields["distance_max_m"].default, drawn)
         self._speed[rows], self._aim[rows] = self._launched(self._target[rows], self._power[rows])
+        self._asked[rows] = np.stack([self._aim[rows], self._speed[rows]], axis=1)
         # a rolling ball gets there after 0.3 to 0.8 s
         rolls = draw[9] < settings.rolling_fraction
         velocity = np.where(rolls, settings.ball_speed_max_mps * draw[10], 0.0)
@@ -326,19 +379,21 @@ class Kick(BallTask[KickSettings]):
         world, settings, zero = self.world, self.parameters, constant(0.0)
         names = ("touched", "launch", "score", "kicked")
         touched, launch, score, kicked = (self.stored(name) for name in names)
+        since = self.stored("since") if self._again else touched
         gain, placed, fallen, done = (source(each) for each in (self._gain, self._placed, self._fallen, self._done))
         fresh, before = source(np.zeros(self.n, dtype=np.bool_)), source(np.zeros(self.n))
-        live = (touched >= 0.0) & ~(touched > _SETTLED)
+        live = (since >= 0.0) & ~(since > _SETTLED)
         if settings.whole_roll:
             velocity = world.body(BALL, "velocity")
             still = hypot(velocity[0], velocity[1]) < _LEAST_SPEED
-            over = (kicked >= 0.0) & (touched >= round(UPRIGHT_S / STEP_S)) & still
+            over = (kicked >= 0.0) & (since >= round(UPRIGHT_S / STEP_S)) & still
         else:
             over = kicked >= settings.takeover_steps + settings.watch_steps
         late = (kicked < 0.0) & (world.step >= settings.approach_steps)
         return [
             Store(fresh, update=(touched < 0.0) & (world.contact("robot") > 0.0)),
             Store(touched, begin=constant(-1.0), update=where(fresh, 0.0, touched + (touched >= 0.0))),
+            *(self._follow_again() if self._again else []),
             Store(placed, update=where(fresh, self._placement(), 0.0)),
             Store(launch, begin=constant([0.0, 0.0]), update=where(live, self._launch_now(), launch)),
             Store(before, update=score),
@@ -347,6 +402,14 @@ class Kick(BallTask[KickSettings]):
             self._falls(),
             Store(done, begin=zero, update=over & ~fallen),
             Store(source(self._missed), begin=zero, update=late & ~fallen),
+        ]
+
+    def _follow_again(self) -> list[Store]:
+        """Return what is stored of the steps since the touch of the latest kick that was not too weak."""
+        since, touches = self.stored("since"), self.world.contact("robot") > 0.0
+        return [
+            Store(since, begin=constant(-1.0), update=where(self.stored("weak"), -1.0, since + (since >= 0.0))),
+            Store(since, update=where((since < 0.0) & touches, 0.0, since)),
         ]
 
     def _placement(self) -> Number:
@@ -363,7 +426,7 @@ class Kick(BallTask[KickSettings]):
         speed = hypot(roll[0], roll[1])
         start = source(self._start)
         way = along(
-            self.stored("aim"),
+            self.stored("asked")[0] if self._again else self.stored("aim"),
             ball["position"][:2] - start + roll * (rolling.straight(speed) / maximum(speed, 1e-6)),
         )
         return stack(arctan2(way[1], way[0]), hypot(way[0], way[1]))
@@ -376,7 +439,8 @@ class Kick(BallTask[KickSettings]):
             + 0.35 * _bell(error / np.radians(14.0))
             + 0.4 * _bell(error / np.radians(5.0))
         )
-        ratio = reached / maximum(rolling.straight(self.stored("speed")), 0.1)
+        asked = self.stored("asked")[1] if self._again else self.stored("speed")
+        ratio = reached / maximum(rolling.straight(asked), 0.1)
         # a kick that goes four times too far still scores, so that there is a slope towards softer ones
         off = log(maximum(ratio, 1e-3))
         close = 0.3 * exp(-1.5 * absolute(off)) + 0.7 * _bell(off / _DISTANCE_SPREAD)
@@ -392,7 +456,7 @@ class Kick(BallTask[KickSettings]):
             RewardTerm("upright", settings.upright_weight, source(self._done)),
             RewardTerm("fall", -settings.fall_penalty, source(self._fallen)),
             RewardTerm("miss", -settings.miss_penalty, source(self._missed)),
-            RewardTerm("time", -settings.time_penalty, self.stored("touched") < 0.0),
+            RewardTerm("time", -settings.time_penalty, self.stored("since" if self._again else "touched") < 0.0),
             *penalties(self.world, settings),
         )
 
@@ -401,7 +465,7 @@ class Kick(BallTask[KickSettings]):
     def measure(self, rows: IntArray) -> FloatArray:
         """Return touch, errors of launch and roll, roll, and fall."""
         angle, reached = self._launch[rows].T
-        asked = rolling.straight(self.stored("speed"))(rows)[:, 0]
+        asked = rolling.straight(source(self._asked)[1])(rows)[:, 0]
         error = np.where(self._power[rows], 0.0, np.abs(reached / np.maximum(asked, 0.1) - 1.0))
         touched = self._touched[rows] >= 0
         return np.stack([touched, np.degrees(np.abs(angle)), reached, error, self._fallen[rows]], axis=1)

@@ -101,6 +101,14 @@ class KickSettings(NearBallSettings):
         description="Share of a new sight in the place from which the ball is expected to roll on; 1: the last sight "
         "alone. A smaller one evens out noise, and adds up what a soft kick moves the ball in several sights.",
     )
+    least_share: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        title="Weakest kick",
+        description="Share of the way to its target that a kicked ball has to roll, as the robot perceives it. After a "
+        "weaker kick the robot goes on and kicks again. 0: the first kick is the last.",
+    )
     approach_steps: int = Field(
         default=150,
         ge=10,

@@ -69,6 +69,12 @@ def straight(speed: Number) -> Number:
     return interpolated(speed, [0.0, *speeds.tolist()], [0.0, *distances[:, 0].tolist()])
 
 
+def speed_of(distance_m: Number) -> Number:
+    """Return the speed of a ball that rolls so far along the field's x axis, m/s."""
+    speeds, _, distances, _ = table()
+    return interpolated(distance_m, [0.0, *distances[:, 0].tolist()], [0.0, *speeds.tolist()])
+
+
 def launch(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (k,) speeds in m/s and directions with which balls have to roll off to stop at (k,) distances.
 
