@@ -117,6 +117,7 @@ def test_a_mujoco_robot_too() -> None:
         (GetUp, {"smoothness_penalty": 0.2, "episode_steps": 30, "torque_penalty": 0.1}),
         (Kick, {"handover_states": 8, "approach_steps": 30, "takeover_steps": 2}),
         (Kick, {"handover_states": 8, "rolling_fraction": 1.0, "whole_roll": True}),
+        (Kick, {"handover_states": 8, "takeover_steps": 2, "least_share": 1.0, "sight_share": 0.25}),
         (Dribble, {"handover_states": 8, "line_steps": 10}),
         (Dribble, {"handover_states": 8, "course": True}),
         (Block, {"handover_states": 8}),

@@ -15,6 +15,7 @@ from naospec import TrainingSpec
 from naosprint.rl.ppo import Rollout
 from naosprint.rl.warm_start import adapt
 from naosprint.tasks import rolling
+from naosprint.tasks.ball import principal
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.frozen import FrozenPolicy
@@ -24,7 +25,7 @@ from naosprint.tasks.kick_results import UPRIGHT_S
 from naosprint.tasks.kick_settings import KickSettings
 from naosprint.tasks.observations import ObservationBlock, Observer
 from naosprint.tasks.velocity import Velocity, VelocitySettings
-from naosprint.terms import source
+from naosprint.terms import constant, source
 from pydantic import ValidationError
 
 RADIUS = T1.field.ball_radius_m
@@ -245,6 +246,53 @@ def test_a_soft_kick_is_noticed_from_several_sights() -> None:
     for _ in range(12):
         environment.step(task._walker.act(environment.observer, slice(0, 32)))
     assert (task._kicked >= 0).mean() > 0.9
+
+
+@pytest.mark.parametrize(("speed", "aside"), [(1.3, 0.0), (1.3, 0.3), (6.0, 0.0)])
+def test_a_kick_that_is_too_weak_is_followed_by_another(speed: float, aside: float) -> None:
+    """The robot then aims, from where the ball will stop, at the point to which it was to be kicked."""
+    environment = approaching(0.0, **EVENED, power_fraction=0.0, distance_min_m=6.0, least_share=0.6, takeover_steps=6)
+    task, everyone, ball = task_of(environment), np.arange(32), environment.world.bodies[BALL]
+    place, aim, asked = ball.position[:, :2].copy(), task._aim.copy(), task._speed.copy()
+    way = aim + aside
+    moves = speed * np.stack([np.cos(way), np.sin(way), np.zeros(32)], axis=1)
+    environment.world.place_ball(everyone, ball.position.copy(), moves, np.zeros((32, 3)))
+    judged = np.zeros(32, dtype=np.bool_)
+    for _ in range(20):
+        environment.step(task._walker.act(environment.observer, slice(0, 32)))
+        judged |= task._kicked >= 5
+    assert judged.mean() > 0.9
+    if speed > 5.0:
+        assert task.frozen[judged].all()
+        np.testing.assert_array_equal(task._aim, aim)
+        return
+    assert not task.frozen.any()
+    rolled = rolling.straight(constant(speed / rolling.SLIDES))(slice(0, 1))[0, 0]
+    length = rolling.straight(source(asked))(slice(0, 32))[:, 0]
+    stop = place + rolled * np.stack([np.cos(way), np.sin(way)], axis=1)
+    left = place + length[:, None] * np.stack([np.cos(aim), np.sin(aim)], axis=1) - stop
+    off = np.degrees(principal(task._aim - np.arctan2(left[:, 1], left[:, 0])))
+    assert np.median(np.abs(off[judged])) < 2.0
+    assert np.median(np.abs(task._speed / rolling.speed_of(source(np.hypot(*left.T)))(slice(0, 32))[:, 0] - 1.0)) < 0.05
+    assert (task._speed[judged] < asked[judged]).all()
+
+
+def test_the_last_of_several_kicks_is_scored() -> None:
+    """By direction and distance of the first command, whose target the ball has to reach."""
+    environment = approaching(0.0, **EVENED, power_fraction=0.0, distance_min_m=6.0, least_share=0.6)
+    task, ball = task_of(environment), environment.world.bodies[BALL]
+    asked = task._asked.copy()
+    task._since[:], task._touched[:] = 26, 60
+    task.arrays["weak"][:16] = True
+    away = 3.0 * np.stack([np.cos(asked[:, 0]), np.sin(asked[:, 0]), np.zeros(32)], axis=1)
+    environment.world.place_ball(np.arange(32), ball.position.copy(), away, np.zeros((32, 3)))
+    task.arrays["weak"][:16] = True
+    environment.step(np.zeros((32, environment.actuation.n_actions)))
+    assert (task._since[:16] == -1).all() and (task._since[16:] == 27).all()
+    task._since[:16] = 0
+    environment.step(np.zeros((32, environment.actuation.n_actions)))
+    assert (task._score[:16] > 0.3).all() and not task._score[16:].any()
+    assert (task._touched == 62).all()
 
 
 def test_a_ball_is_seen_with_the_stated_noise() -> None:

@@ -240,28 +240,30 @@ class Kick(BallTask[KickSettings]):
         surprise = hypot(off[0], off[1]) > settings.kicked_m + 0.3 * maximum(elapsed - 2 * STEP_S, 0.0)
         known = self.stored("sightings") >= (_TRACKED if tracking else 2.0)
         now = seen & known & surprise & (kicked < 0.0)
+        noticed = self.stored("noticed") if self._again else None
         return [
+            *(
+                []
+                if noticed is None
+                else [Store(noticed, begin=self._seen_at, update=where(now, self._seen_at, noticed))]
+            ),
             Store(kicked, begin=constant(-1.0), update=kicked + (kicked >= 0.0)),
             Store(kicked, update=where(now, 0.0, kicked)),
             *tracking,
-            *(self._judge(now) if self._again else []),
+            *(self._judge() if self._again else []),
         ]
 
-    def _judge(self, now: Number) -> list[Store]:
-        """Return what is stored of weak kicks: when the walker would take over, the robot kicks again instead.
-
-        Args:
-            now: whether a kick is perceived in this step.
-        """
+    def _judge(self) -> list[Store]:
+        """Return what is stored of weak kicks: when the walker would take over, the robot kicks again instead."""
         names = ("kicked", "weak", "noticed", "point", "aim", "speed", "expected")
         kicked, weak, noticed, point, aim, speed, expected = (self.stored(name) for name in names)
         place, direction = self._seen_at, stack(cos(aim), sin(aim))
         # the point to kick to is ahead of where the ball is first seen
         first = place + direction * rolling.straight(speed)
-        # a kicked ball slides, and will roll more slowly
+        # by now a ball that was kicked weakly rolls, and no longer slides
         velocity = (place - noticed) / (maximum(kicked - self._age, 1.0) * STEP_S)
-        rolls = hypot(velocity[0], velocity[1]) / rolling.SLIDES
-        stop = place + velocity * (rolling.straight(rolls) / maximum(rolls * rolling.SLIDES, 1e-6))
+        rolls = hypot(velocity[0], velocity[1])
+        stop = place + velocity * (rolling.straight(rolls) / maximum(rolls, 1e-6))
         left = point - stop
         short = along(aim, left)[0] > (1.0 - self.parameters.least_share) * rolling.straight(speed)
         due = equal(kicked, float(self.parameters.takeover_steps)) & (self._age < kicked)
@@ -269,7 +271,6 @@ class Kick(BallTask[KickSettings]):
         return [
             Store(speed, begin=given("launch_speed", speed)),
             Store(point, begin=first, update=where(equal(self.stored("sightings"), 0.0), first, point)),
-            Store(noticed, begin=place, update=where(now, place, noticed)),
             Store(weak, begin=constant(0.0), update=due & short),
             Store(expected, update=where(weak, velocity, expected)),
             *(
