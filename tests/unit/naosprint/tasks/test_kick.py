@@ -190,8 +190,9 @@ def test_a_warm_start_takes_the_spreads_of_new_observations() -> None:
 # --- starts and perception --------------------------------------------------------------------------------------------
 
 
-def test_balls_are_before_a_foot_or_somewhere_near() -> None:
-    environment = environment_of(64, aligned_fraction=0.5, rolling_fraction=0.0)
+@pytest.mark.parametrize(("robot", "foot_m"), [(PITCHED, 0.106), (K1.with_parameters({"head_pitch_rad": 0.6}), 0.096)])
+def test_balls_are_before_a_foot_or_somewhere_near(robot: Robot, foot_m: float) -> None:
+    environment = environment_of(64, robot=robot, aligned_fraction=0.5, rolling_fraction=0.0)
     task, everyone = task_of(environment), slice(0, 64)
     apart = environment.world.bodies[BALL].position[:, :2] - environment.world.position(everyone)[:, :2]
     yaw = environment.world.yaw(everyone)
@@ -206,7 +207,7 @@ def test_balls_are_before_a_foot_or_somewhere_near() -> None:
     assert np.degrees(np.abs(aim[~aligned])).max() <= 30.01
     assert np.degrees(np.abs(aim[~aligned])).max() > 20.0
     line = np.abs(np.cos(aim) * aside - np.sin(aim) * ahead)
-    assert (np.abs(line[aligned] - 0.106) <= 0.0601).all()
+    assert (np.abs(line[aligned] - foot_m) <= 0.0601).all()
     assert ((ahead > 0.349) & (ahead < 0.901)).all()
     assert np.ptp(yaw) > 5.0
 
