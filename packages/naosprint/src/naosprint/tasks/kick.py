@@ -151,7 +151,7 @@ class Kick(BallTask[KickSettings]):
         if settings.sight_share < 1.0:
             self.arrays["tracked"] = np.zeros((n, 2))  # where the ball is, evened out over sights
         self._again = settings.least_share > 0.0
-        self._asked: FloatArray = np.zeros((n, 2))  # aim and speed of the first kick
+        self._asked: FloatArray = np.zeros((n, 2))  # aim and speed of the first kick, by which all are scored
         self._since: IntArray = np.full(n, -1) if self._again else self._touched  # steps since the last kick's touch
         if self._again:
             self.arrays |= {
@@ -240,17 +240,18 @@ class Kick(BallTask[KickSettings]):
         surprise = hypot(off[0], off[1]) > settings.kicked_m + 0.3 * maximum(elapsed - 2 * STEP_S, 0.0)
         known = self.stored("sightings") >= (_TRACKED if tracking else 2.0)
         now = seen & known & surprise & (kicked < 0.0)
-        noticed = self.stored("noticed") if self._again else None
-        return [
-            *(
-                []
-                if noticed is None
-                else [Store(noticed, begin=self._seen_at, update=where(now, self._seen_at, noticed))]
-            ),
+        noticing = [
             Store(kicked, begin=constant(-1.0), update=kicked + (kicked >= 0.0)),
             Store(kicked, update=where(now, 0.0, kicked)),
             *tracking,
-            *(self._judge() if self._again else []),
+        ]
+        if not self._again:
+            return noticing
+        noticed = self.stored("noticed")
+        return [
+            Store(noticed, begin=self._seen_at, update=where(now, self._seen_at, noticed)),
+            *noticing,
+            *self._judge(),
         ]
 
     def _judge(self) -> list[Store]:
@@ -268,17 +269,15 @@ class Kick(BallTask[KickSettings]):
         short = along(aim, left)[0] > (1.0 - self.parameters.least_share) * rolling.straight(speed)
         due = equal(kicked, float(self.parameters.takeover_steps)) & (self._age < kicked)
         anew = rolling.speed_of(hypot(left[0], left[1]))
+        pass_on = weak & ~(given("power", self.stored("power")) > 0.0)
+        evened = [self.stored("tracked")] if "tracked" in self.arrays else []
         return [
             Store(speed, begin=given("launch_speed", speed)),
             Store(point, begin=first, update=where(equal(self.stored("sightings"), 0.0), first, point)),
             Store(weak, begin=constant(0.0), update=due & short),
             Store(expected, update=where(weak, velocity, expected)),
-            *(
-                [Store(self.stored("tracked"), update=where(weak, place, self.stored("tracked")))]
-                if "tracked" in self.arrays
-                else []
-            ),
-            Store(speed, update=where(weak & ~(given("power", self.stored("power")) > 0.0), anew, speed)),
+            *(Store(tracked, update=where(weak, place, tracked)) for tracked in evened),
+            Store(speed, update=where(pass_on, anew, speed)),
             Store(aim, update=where(weak, arctan2(left[1], left[0]), aim)),
             Store(kicked, update=where(weak, -1.0, kicked)),
         ]
@@ -413,6 +412,11 @@ class Kick(BallTask[KickSettings]):
             Store(since, update=where((since < 0.0) & touches, 0.0, since)),
         ]
 
+    @property
+    def _scored_by(self) -> Number:
+        """Aim and speed that were commanded at first."""
+        return self.stored("asked") if self._again else stack(self.stored("aim"), self.stored("speed"))
+
     def _placement(self) -> Number:
         """Return the score of how the ball lies before the nearer foot."""
         left, right = self._foot("left"), self._foot("right")
@@ -427,7 +431,7 @@ class Kick(BallTask[KickSettings]):
         speed = hypot(roll[0], roll[1])
         start = source(self._start)
         way = along(
-            self.stored("asked")[0] if self._again else self.stored("aim"),
+            self._scored_by[0],
             ball["position"][:2] - start + roll * (rolling.straight(speed) / maximum(speed, 1e-6)),
         )
         return stack(arctan2(way[1], way[0]), hypot(way[0], way[1]))
@@ -440,8 +444,7 @@ class Kick(BallTask[KickSettings]):
             + 0.35 * _bell(error / np.radians(14.0))
             + 0.4 * _bell(error / np.radians(5.0))
         )
-        asked = self.stored("asked")[1] if self._again else self.stored("speed")
-        ratio = reached / maximum(rolling.straight(asked), 0.1)
+        ratio = reached / maximum(rolling.straight(self._scored_by[1]), 0.1)
         # a kick that goes four times too far still scores, so that there is a slope towards softer ones
         off = log(maximum(ratio, 1e-3))
         close = 0.3 * exp(-1.5 * absolute(off)) + 0.7 * _bell(off / _DISTANCE_SPREAD)
@@ -466,7 +469,7 @@ class Kick(BallTask[KickSettings]):
     def measure(self, rows: IntArray) -> FloatArray:
         """Return touch, errors of launch and roll, roll, and fall."""
         angle, reached = self._launch[rows].T
-        asked = rolling.straight(source(self._asked)[1])(rows)[:, 0]
+        asked = rolling.straight(self._scored_by[1])(rows)[:, 0]
         error = np.where(self._power[rows], 0.0, np.abs(reached / np.maximum(asked, 0.1) - 1.0))
         touched = self._touched[rows] >= 0
         return np.stack([touched, np.degrees(np.abs(angle)), reached, error, self._fallen[rows]], axis=1)
