@@ -37,7 +37,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.integration.writes import append_metrics, record_checkpoint, request_evaluation
 
 MIGRATIONS = Path(__file__).parents[2] / "migrations"
-LONGEST_LIST = 25
+LONGEST_LIST = 40
 
 _ID = re.compile(r"\b([a-z]{2,8})_[0-9a-hjkmnp-tv-z]{26}\b")
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)")

@@ -77,5 +77,5 @@ def test_recipes_of_bundled_policies_are_their_lineage(name: str) -> None:
 
 
 def test_unknown_recipe_lists_the_known() -> None:
-    with pytest.raises(ValueError, match="unknown recipe 'jump': choose one of k1-getup, k1-run, k1-sprint, "):
+    with pytest.raises(ValueError, match="unknown recipe 'jump': choose one of k1-getup, k1-kick, k1-run, "):
         recipes.job("jump")
