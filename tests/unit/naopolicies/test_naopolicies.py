@@ -62,7 +62,7 @@ def test_unknown_name_lists_those_that_exist(tmp_path: Path) -> None:
     """The error for an unknown name lists the valid ones."""
     with pytest.raises(ValueError, match="unknown policy 'sprnt': choose one of"):
         naopolicies.folder("sprnt")
-    with pytest.raises(ValueError, match=r"nor a bundled policy; these are: k1-getup, k1-run, k1-sprint, "):
+    with pytest.raises(ValueError, match=r"nor a bundled policy; these are: k1-getup, k1-kick, k1-run, "):
         naopolicies.resolve("sprnt")
     assert naopolicies.resolve(str(tmp_path)) == tmp_path
 

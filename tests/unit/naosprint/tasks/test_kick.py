@@ -258,13 +258,13 @@ def test_a_kick_that_is_too_weak_is_followed_by_another(speed: float, aside: flo
     way = aim + aside
     moves = speed * np.stack([np.cos(way), np.sin(way), np.zeros(32)], axis=1)
     environment.world.place_ball(everyone, ball.position.copy(), moves, np.zeros((32, 3)))
-    judged = np.zeros(32, dtype=np.bool_)
+    noticed = np.zeros(32, dtype=np.bool_)
     for _ in range(20):
         environment.step(task._walker.act(environment.observer, slice(0, 32)))
-        judged |= task._kicked >= 5
-    assert judged.mean() > 0.9
+        noticed |= task._kicked >= 5
+    assert noticed.mean() > 0.9
     if speed > 5.0:
-        assert task.frozen[judged].all()
+        assert task.frozen[noticed].all()
         np.testing.assert_array_equal(task._aim, aim)
         return
     assert not task.frozen.any()
@@ -273,9 +273,9 @@ def test_a_kick_that_is_too_weak_is_followed_by_another(speed: float, aside: flo
     stop = place + rolled * np.stack([np.cos(way), np.sin(way)], axis=1)
     left = place + length[:, None] * np.stack([np.cos(aim), np.sin(aim)], axis=1) - stop
     off = np.degrees(principal(task._aim - np.arctan2(left[:, 1], left[:, 0])))
-    assert np.median(np.abs(off[judged])) < 2.0
+    assert np.median(np.abs(off[noticed])) < 2.0
     assert np.median(np.abs(task._speed / rolling.speed_of(source(np.hypot(*left.T)))(slice(0, 32))[:, 0] - 1.0)) < 0.05
-    assert (task._speed[judged] < asked[judged]).all()
+    assert (task._speed[noticed] < asked[noticed]).all()
 
 
 def test_the_last_of_several_kicks_is_scored() -> None:

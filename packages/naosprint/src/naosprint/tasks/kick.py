@@ -251,10 +251,10 @@ class Kick(BallTask[KickSettings]):
         return [
             Store(noticed, begin=self._seen_at, update=where(now, self._seen_at, noticed)),
             *noticing,
-            *self._judge(),
+            *self._weigh(),
         ]
 
-    def _judge(self) -> list[Store]:
+    def _weigh(self) -> list[Store]:
         """Return what is stored of weak kicks: when the walker would take over, the robot kicks again instead."""
         names = ("kicked", "weak", "noticed", "point", "aim", "speed", "expected")
         kicked, weak, noticed, point, aim, speed, expected = (self.stored(name) for name in names)
@@ -268,7 +268,7 @@ class Kick(BallTask[KickSettings]):
         left = point - stop
         short = along(aim, left)[0] > (1.0 - self.parameters.least_share) * rolling.straight(speed)
         due = equal(kicked, float(self.parameters.takeover_steps)) & (self._age < kicked)
-        anew = rolling.speed_of(hypot(left[0], left[1]))
+        slower = rolling.speed_of(hypot(left[0], left[1]))
         pass_on = weak & ~(given("power", self.stored("power")) > 0.0)
         evened = [self.stored("tracked")] if "tracked" in self.arrays else []
         return [
@@ -277,7 +277,7 @@ class Kick(BallTask[KickSettings]):
             Store(weak, begin=constant(0.0), update=due & short),
             Store(expected, update=where(weak, velocity, expected)),
             *(Store(tracked, update=where(weak, place, tracked)) for tracked in evened),
-            Store(speed, update=where(pass_on, anew, speed)),
+            Store(speed, update=where(pass_on, slower, speed)),
             Store(aim, update=where(weak, arctan2(left[1], left[0]), aim)),
             Store(kicked, update=where(weak, -1.0, kicked)),
         ]
