@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import json
 import os
@@ -20,6 +21,10 @@ from tests import forking
 if "avx512dq" in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
     os.environ.setdefault("NPY_DISABLE_CPU_FEATURES", "X86_V4")
 
+# The C library takes blocks of 15 MB, which MuJoCo asks for with each robot, from the heap once one was freed. Nothing
+# of them is used, but a heap that has grown to more than the machine's memory keeps a process from starting others.
+_M_MMAP_THRESHOLD = -3
+ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1 << 20)
 
 forking.install()
 

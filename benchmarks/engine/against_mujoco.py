@@ -40,7 +40,7 @@ MOST_M, MOST_MPS = 1e-10, 1e-8
 AFTER = (10, 50, 100, 200)
 """Cycles after which free runs are compared."""
 
-POLICIES = ("t1-sprint", "t1-run", "t1-getup", "t1-kick", "k1-sprint")
+POLICIES = ("t1-sprint", "t1-run", "t1-getup", "t1-kick", "k1-sprint", "k1-kick")
 Cycle = tuple[MujocoBatch, MujocoWorld, Callable[[], object]]
 
 
