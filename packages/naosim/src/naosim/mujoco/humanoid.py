@@ -194,7 +194,11 @@ def _goal_numbers(world: MujocoWorld, at: Parts) -> Floats:
 
 
 def _extents(model: Any, at: Parts) -> Floats:
-    """Return how far each mesh extends from the middle of its box, in directions on a cube's surface."""
+    """Return how far each mesh extends from the middle of its box, in directions on a cube's surface.
+
+    Raises:
+        ValueError: if MuJoCo has computed no hull of a mesh.
+    """
     edge = np.linspace(-1.0, 1.0, _CELLS + 1)
     grid = np.stack([np.ones((_CELLS + 1,) * 2), *np.meshgrid(edge, edge, indexing="ij")], axis=-1)
     sides = np.stack([np.roll(grid * (sign, 1.0, 1.0), k, axis=-1) for k in range(3) for sign in (1.0, -1.0)])
@@ -202,6 +206,8 @@ def _extents(model: Any, at: Parts) -> Floats:
     out = np.zeros((max(len(meshes), 1), *sides.shape[:-1]))
     for row, geom in zip(out, meshes, strict=False):
         mesh = model.geom_dataid[geom]
+        if model.mesh_graphadr[mesh] < 0:
+            raise ValueError(f"mesh {model.mesh(mesh).name}: MuJoCo has computed no hull of it; let the geom collide")
         # vertices of the hull: number, number of faces, their edges, and which of the mesh's they are
         graph = model.mesh_graph[model.mesh_graphadr[mesh] :]
         hull = model.mesh_vertadr[mesh] + graph[2 + graph[0] : 2 + 2 * graph[0]]

@@ -106,8 +106,8 @@ class KickSettings(NearBallSettings):
         ge=0.0,
         le=1.0,
         title="Weakest kick",
-        description="Share of the way to its target that a kicked ball has to roll, as the robot perceives it. After a "
-        "weaker kick the robot goes on and kicks again. 0: the first kick is the last.",
+        description="Smallest share of the way to its target that a kicked ball may roll, as the robot perceives it; "
+        "after a weaker kick the robot kicks again. 0: it kicks once.",
     )
     approach_steps: int = Field(
         default=150,
