@@ -278,6 +278,13 @@ def test_a_kick_that_is_too_weak_is_followed_by_another(speed: float, aside: flo
     assert (task._speed[noticed] < asked[noticed]).all()
 
 
+def test_a_kick_cannot_be_weighed_before_its_roll_is_seen() -> None:
+    KickSettings(least_share=0.6, takeover_steps=2)
+    KickSettings(takeover_steps=0)
+    with pytest.raises(ValidationError, match="least_share: .*takeover_steps, 1; use 2 or more, or least_share 0"):
+        KickSettings(least_share=0.6, takeover_steps=1)
+
+
 def test_the_last_of_several_kicks_is_scored() -> None:
     """By direction and distance of the first command, whose target the ball has to reach."""
     environment = approaching(0.0, **EVENED, power_fraction=0.0, distance_min_m=6.0, least_share=0.6)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from naosprint.tasks.ball import NearBallSettings
+
+
+_SIGHTS_APART = 2  # steps between two sights of the ball
 
 
 class KickSettings(NearBallSettings):
@@ -138,6 +142,17 @@ class KickSettings(NearBallSettings):
     time_penalty: float = Field(
         default=0.002, ge=0.0, le=1.0, title="Time penalty", description="Penalty per step before the first touch."
     )
+
+    @model_validator(mode="after")
+    def _weighed(self) -> Self:
+        if self.least_share > 0.0 and self.takeover_steps < _SIGHTS_APART:
+            raise PydanticCustomError(
+                "least_share",
+                "least_share: a ball is seen in every second step, so how it rolls is not known after takeover_steps, "
+                "{steps}; use {least} or more, or least_share 0",
+                {"steps": self.takeover_steps, "least": _SIGHTS_APART},
+            )
+        return self
 
     def for_evaluation(self) -> Self:
         """Return the same settings without disturbances, and with episodes that last until the ball has stopped."""
