@@ -58,9 +58,17 @@ PRELOADED = (
     "naosim.kinds",
     "naosim.simspark.embedded",
     "naosprint.analysis.evaluation",
+    "naosprint.analysis.report",
     "naosprint.__main__",
     "naojobs.__main__",
     "naoctl.cli",
+    # what PyTorch's first optimizer and Celery's worker load later
+    "torch._dynamo",
+    "celery.apps.worker",
+    "celery.backends.base",
+    "celery.concurrency.thread",
+    "celery.fixups.django",
+    "kombu.transport.redis",
 )
 """Modules that the template loads."""
 
