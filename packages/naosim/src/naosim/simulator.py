@@ -139,6 +139,10 @@ class Scene:
     bodies: bool = False
     """Whether the motion of :data:`BODIES` is reported without a ball, too."""
 
+    def __contains__(self, other: Scene) -> bool:
+        """Return whether a world with this scene has everything of another."""
+        return all(getattr(self, each.name) or not getattr(other, each.name) for each in fields(self))
+
     @property
     def moving(self) -> tuple[str, ...]:
         """Names of the bodies whose motion is reported."""

@@ -14,6 +14,8 @@ from naospec import TrainingSpec
 from naosprint.tasks.block import CALM_S, HOME_M, Block, BlockSettings
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.tasks.frozen import FrozenPolicy
+from naosprint.tasks.handover import joined, record_own
 from pydantic import ValidationError
 
 PITCHED = T1.with_parameters({"head_pitch_rad": 0.6})
@@ -165,6 +167,17 @@ def test_episodes_begin_with_states_of_each_entry_policy() -> None:
     assert not np.isin(other.actions[4:], own.actions).all(axis=1).any()
 
 
+def test_episodes_begin_with_states_of_other_skills() -> None:
+    """In the middle of a dribble, and where a kick ends; their own episodes begin as they always do."""
+    environment = environment_of(2, entry_policies=("t1-kick", "t1-dribble"), handover_states=24)
+    states = task_of(environment)._entered.states
+    simulator = MujocoSimulator(PITCHED, 2, BoosterEmbeddedParameters(engine="fast"), scene=Block.scene)
+    alone = [record_own(simulator, FrozenPolicy(name), 2, 0) for name in ("t1-kick", "t1-dribble")]
+    assert [len(each) for each in alone] == [2, 2]
+    np.testing.assert_array_equal(states.actions[2:], joined(alone).actions)
+    assert all(np.hypot(*each.motion.torso_mps[:, :2].T).max() > 0.2 for each in alone)
+
+
 def test_settings_name_what_is_wrong() -> None:
     def message(**settings: Any) -> str:
         with pytest.raises(ValidationError) as error:
@@ -174,7 +187,7 @@ def test_settings_name_what_is_wrong() -> None:
     assert "shot_speed_min_mps: 5.0 is above shot_speed_max_mps, 4.0" in message(
         shot_speed_min_mps=5.0, shot_speed_max_mps=4.0
     )
-    assert "task.entry_policies: 't1-kick' is no bundled policy of robot t1 for task velocity; use " in message(
-        entry_policies=["t1-kick"]
-    )
+    unfit = "is no bundled policy of robot t1 with these ranges of actions, for a task in this world; use t1-dribble or"
+    for name in ("k1-run", "t1-getup", "t2"):  # another robot, other ranges, unknown
+        assert f"task.entry_policies: '{name}' {unfit}" in message(entry_policies=[name])
     assert "ball_near_m" in message(ball_near_m=0.5)  # of tasks that begin beside a ball

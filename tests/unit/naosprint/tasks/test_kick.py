@@ -281,7 +281,7 @@ def test_a_kick_that_is_too_weak_is_followed_by_another(speed: float, aside: flo
 def test_a_kick_cannot_be_weighed_before_its_roll_is_seen() -> None:
     KickSettings(least_share=0.6, takeover_steps=2)
     KickSettings(takeover_steps=0)
-    with pytest.raises(ValidationError, match="least_share: .*takeover_steps, 1; use 2 or more, or least_share 0"):
+    with pytest.raises(ValidationError, match=r"least_share: .*takeover_steps, 1; use 2 or more, or least_share 0"):
         KickSettings(least_share=0.6, takeover_steps=1)
 
 

@@ -22,8 +22,8 @@ from naosprint.tasks.base import Task
 from naosprint.tasks.commands import ACCELERATIONS, AccelerationSettings, approached
 from naosprint.tasks.disturbances import BallNoiseSettings, DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
-from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen
-from naosprint.tasks.handover import Entries, EntrySettings, HandOver, joined, record
+from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen, require_entries
+from naosprint.tasks.handover import Entries, EntrySettings, HandOver, joined, record, record_own
 from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings
 from naosprint.tasks.robot_defaults import robot_defaults
@@ -159,8 +159,7 @@ class BallTask(Task[Settings], Generic[Settings]):
                 "settings with which it does, such as onboard_sensing=false"
             )
         walker = chosen(parameters.walker, "task.walker", robot.name, Velocity.name)
-        for name in parameters.entry_policies:
-            chosen(name, "task.entry_policies", robot.name, Velocity.name)
+        require_entries(parameters.entry_policies, robot, cls.scene)
         trained = bundled(robot.name, Velocity.name)[walker]
         remembered = max(parameters.history_steps, int(trained.get("history_steps", 0)))
         own = {name: trained.get(name) for name in ACCELERATIONS if getattr(parameters, name) is None}
@@ -325,6 +324,9 @@ class BallTask(Task[Settings], Generic[Settings]):
         )
         recorded = []
         for walker in walkers:
+            if walker.spec.task.name != Velocity.name:
+                recorded.append(record_own(self.world.simulator, walker, states, seed))
+                continue
             own = {name: getattr(walker.spec.task, name) for name in ("history_steps", *ACCELERATIONS)}
             recorded.append(record(self.world.simulator, walker, Velocity, walk.model_copy(update=own), states, seed))
         return self.enter(joined(recorded))

@@ -11,10 +11,13 @@ from naosim import robots
 from naosim.robots.actuation import Actuation
 from naospec import TrainingSpec, plugins, read_stored
 
+from naosprint.tasks.base import get
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from naosim.robots import Robot
+    from naosim.simulator import Scene
 
     from naosprint.arrays import FloatArray, IntArray
     from naosprint.tasks.observations import Observer
@@ -78,11 +81,11 @@ class FrozenPolicy:
 
 
 @cache
-def bundled(robot: str, task: str) -> dict[str, dict[str, Any]]:
-    """Return the bundled policies that move this robot and were last trained for this task.
+def bundled(robot: str, task: str | None = None) -> dict[str, dict[str, Any]]:
+    """Return the bundled policies that move this robot and were last trained for this task, or for any.
 
     Returns:
-        By name the task's settings of each that differ from their defaults; no weights are read.
+        By name the task's settings of each that differ from their defaults, and the task's name; no weights are read.
     """
     found = {}
     for name in naopolicies.names():
@@ -90,8 +93,8 @@ def bundled(robot: str, task: str) -> dict[str, dict[str, Any]]:
         last = (spec.get("stages") or [{}])[-1]
         tasks = ({**section, "name": section.get("name", "")} for section in (last.get("task", {}), spec["task"]))
         trained = next((each["name"] for each in tasks if each["name"]), "")
-        if (spec["robot"]["name"], trained) == (robot, task):
-            found[name] = {**spec["task"], **last.get("task", {})}
+        if spec["robot"]["name"] == robot and task in {trained, None}:
+            found[name] = {**spec["task"], **last.get("task", {}), "name": trained}
     return found
 
 
@@ -128,11 +131,43 @@ def require_teacher(name: str, robot: Robot, task: str) -> None:
     Raises:
         ValueError: naming ``algorithm.teacher``, and what can be used.
     """
-    spec = naopolicies.spec(chosen(name, "algorithm.teacher", robot.name, task))
-    own, other = Actuation(robot), Actuation(robots.configured(TrainingSpec.model_validate(spec).stage_specs[-1].robot))
-    ends = np.array([-1.0, 1.0])[:, None] * np.ones(own.n_actions)
-    if not np.allclose(own.targets(ends)[:, own.index], other.targets(ends)[:, other.index]):
+    if not _acts_as(chosen(name, "algorithm.teacher", robot.name, task), robot):
         raise ValueError(
             f"algorithm.teacher: {name} has other ranges of actions than robot {robot.name} has with these settings; "
             "give the robot the same action_range_rad"
         )
+
+
+def require_entries(names: Sequence[str], robot: Robot, scene: Scene) -> None:
+    """Check that episodes can begin with states of bundled policies; no weights are read.
+
+    Args:
+        names: names of the policies. Their tasks may need no more than the scene, and their actions have to stand for
+            the same angles.
+        robot: the robot that learns, with its settings.
+        scene: contents of its world.
+
+    Raises:
+        ValueError: naming ``task.entry_policies``, and what can be used.
+    """
+    fitting = [
+        name
+        for name, trained in bundled(robot.name if names else "").items()
+        if get(trained["name"]).scene in scene and _acts_as(name, robot)
+    ]
+    for name in names:
+        if name not in fitting:
+            raise ValueError(
+                f"task.entry_policies: {name!r} is no bundled policy of robot {robot.name} with these ranges of "
+                f"actions, for a task in this world; use {' or '.join(fitting) or 'another robot'}"
+            )
+
+
+def _acts_as(name: str, robot: Robot) -> bool:
+    """Return whether the actions of a bundled policy stand for the same angles of a robot as of its own."""
+    spec = naopolicies.spec(name)
+    last = (spec.get("stages") or [{}])[-1]
+    settings = {**spec["robot"], **(last.get("robot") or {})}
+    own, other = Actuation(robot), Actuation(robots.get(robot.name).with_parameters(settings))
+    ends = np.array([-1.0, 1.0])[:, None] * np.ones(own.n_actions)
+    return np.allclose(own.targets(ends)[:, own.index], other.targets(ends)[:, other.index])

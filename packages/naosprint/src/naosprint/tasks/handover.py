@@ -8,7 +8,7 @@ episodes from them. Other seeds give other states, so evaluations see none of th
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from naosim.simulator import Ability, RobotMotion, Starts
@@ -16,7 +16,7 @@ from naospec import TaskSettings
 from naospec.sections import PlainName
 from pydantic import Field
 
-from naosprint.tasks.base import Task
+from naosprint.tasks.base import Task, get
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.starts import draw_start_poses
 from naosprint.terms import Store, given, source
@@ -52,8 +52,9 @@ class EntrySettings(TaskSettings):
         default=(),
         max_length=7,
         title="Entry policies",
-        description="Bundled policies that follow velocities, with whose states episodes begin, too: from the steps of "
-        "another one a policy may fall. Before a ball as often as with the walker's.",
+        description="Bundled policies of the robot with whose states episodes begin, too, in the middle of a step or "
+        "where their skill ends: from the steps of another one a policy may fall. Before a ball as often as with the "
+        "walker's.",
         json_schema_extra={"needs": Ability.MOVING},
     )
     handover_states: int = Field(
@@ -131,6 +132,14 @@ class Entries:
         """Return what begins the observed velocity with that of the state."""
         begin = given("entry_velocity", source(self._velocity))
         return Store(source(velocity.arrays["velocity"], "velocity"), begin=begin)
+
+
+def record_own(simulator: Simulator, policy: FrozenPolicy, count: int, seed: int, **settings: Any) -> HandOver:
+    """Record states of a policy in the task that it was trained for, undisturbed, see :func:`record`."""
+    own = policy.spec.task.for_evaluation()
+    # its own episodes begin as they do without other policies
+    changed = {name: () for name in ("entry_policies",) if name in type(own).model_fields} | settings
+    return record(simulator, policy, get(own.name), own.model_copy(update=changed), count, seed)
 
 
 def joined(several: Sequence[HandOver]) -> HandOver:

@@ -9,7 +9,6 @@ from pydantic_core import PydanticCustomError
 
 from naosprint.tasks.ball import NearBallSettings
 
-
 _SIGHTS_APART = 2  # steps between two sights of the ball
 
 

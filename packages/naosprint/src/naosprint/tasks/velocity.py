@@ -14,8 +14,8 @@ from naosprint.tasks.base import RewardTerm, Task
 from naosprint.tasks.commands import SETTLING_S, CommandGrowth, CommandSettings, approached, commanded
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
-from naosprint.tasks.frozen import FrozenPolicy, chosen
-from naosprint.tasks.handover import Entries, EntrySettings, joined, record
+from naosprint.tasks.frozen import FrozenPolicy, require_entries
+from naosprint.tasks.handover import Entries, EntrySettings, joined, record_own
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings, penalties
@@ -342,8 +342,7 @@ class Velocity(Task[VelocitySettings]):
     def resolve(cls, parameters: VelocitySettings, robot: Robot) -> VelocitySettings:
         """Return the settings with the robot's own minimum height where none is given."""
         super().resolve(parameters, robot)
-        for name in parameters.entry_policies:
-            chosen(name, "task.entry_policies", robot.name, cls.name)
+        require_entries(parameters.entry_policies, robot, cls.scene)
         return with_min_height(parameters, robot, robot_defaults(robot).fall_height_m)
 
     def __init__(self, parameters: VelocitySettings, world: World, seed: int = 0) -> None:
@@ -494,11 +493,13 @@ class Velocity(Task[VelocitySettings]):
         if self._entered is not None:
             several = [FrozenPolicy(name) for name in self.parameters.entry_policies]
             states = max(1, min(self.parameters.handover_states, 4 * count) // len(several))
-            recorded = []
-            for policy in several:
-                walk = policy.spec.task.for_evaluation().model_copy(update={"episode_steps": 100_000})
-                recorded.append(record(self.world.simulator, policy, Velocity, walk, states, seed))
-            self._entered.states = joined(recorded)
+            longer = {Velocity.name: {"episode_steps": 100_000}}
+            self._entered.states = joined(
+                [
+                    record_own(self.world.simulator, policy, states, seed, **longer.get(policy.spec.task.name, {}))
+                    for policy in several
+                ]
+            )
         return super().starts(count, seed, noise_deg)
 
     def place(self, rows: IntArray) -> None:
