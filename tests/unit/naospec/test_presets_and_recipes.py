@@ -69,7 +69,8 @@ def test_recipes_of_bundled_policies_are_their_lineage(name: str) -> None:
         ours = {path: list(value) if isinstance(value, tuple) else value for path, value in stage.overrides().items()}
         # without effect where the spread does not change
         unchanged = {"algorithm.log_std_steps"}
-        if stage.algorithm.target_kl_final in (0.0091, 0.0112, 0.0132, 0.015):  # what a job that was stopped early had reached
+        # what jobs that were stopped early had reached
+        if stage.algorithm.target_kl_final in (0.0091, 0.0112, 0.0132, 0.015):
             unchanged |= {"algorithm.target_kl_final", "algorithm.final_log_std"}
         assert {path: value for path, value in ours.items() if path not in unchanged} == {
             path: value for path, value in past["overrides"].items() if path not in unchanged
