@@ -30,7 +30,7 @@ demo: $(INSTALLED)  ## train a real sprint job on this machine, watch it, evalua
 up: $(INSTALLED)  ## start API, worker, Postgres, broker and dashboard on this machine; Ctrl-C stops them
 	$(BIN)/naoctl up
 
-# N=3 fills the time in which tests wait; it needs 2 GB more.
+# N=4 fills the time in which tests wait on two cores; it needs 3 GB more.
 N := 2
 test: $(INSTALLED)  ## unit and integration tests with real Postgres, broker, store and processes (under 20 minutes)
 	$(BIN)/python -m pytest -m "not e2e" -n $(N) --dist loadfile --no-loadscope-reorder
