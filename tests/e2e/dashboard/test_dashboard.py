@@ -752,10 +752,10 @@ def test_the_bundled_policies_are_listed_with_their_results(browser: Browser, to
         "Robot",
         "Sprint",
         "Follow a velocity",
+        "Kick",
         "Stand up",
         "Dribble",
         "Keep goal",
-        "Kick",
     ]
     assert browser.text("#top nav a[aria-current=page]") == "Policies"
     for card in cards:
