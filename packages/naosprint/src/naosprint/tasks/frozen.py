@@ -150,9 +150,11 @@ def require_entries(names: Sequence[str], robot: Robot, scene: Scene) -> None:
     Raises:
         ValueError: naming ``task.entry_policies``, and what can be used.
     """
+    if not names:
+        return
     fitting = [
         name
-        for name, trained in bundled(robot.name if names else "").items()
+        for name, trained in bundled(robot.name).items()
         if get(trained["name"]).scene in scene and _acts_as(name, robot)
     ]
     for name in names:

@@ -8,7 +8,7 @@ episodes from them. Other seeds give other states, so evaluations see none of th
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from naosim.simulator import Ability, RobotMotion, Starts
@@ -134,12 +134,12 @@ class Entries:
         return Store(source(velocity.arrays["velocity"], "velocity"), begin=begin)
 
 
-def record_own(simulator: Simulator, policy: FrozenPolicy, count: int, seed: int, **settings: Any) -> HandOver:
+def record_own(simulator: Simulator, policy: FrozenPolicy, count: int, seed: int, **settings: int) -> HandOver:
     """Record states of a policy in the task that it was trained for, undisturbed, see :func:`record`."""
     own = policy.spec.task.for_evaluation()
-    # its own episodes begin as they do without other policies
-    changed = {name: () for name in ("entry_policies",) if name in type(own).model_fields} | settings
-    return record(simulator, policy, get(own.name), own.model_copy(update=changed), count, seed)
+    if isinstance(own, EntrySettings):  # its own episodes begin as they do without other policies
+        own = own.model_copy(update={"entry_policies": ()})
+    return record(simulator, policy, get(own.name), own.model_copy(update=settings), count, seed)
 
 
 def joined(several: Sequence[HandOver]) -> HandOver:
