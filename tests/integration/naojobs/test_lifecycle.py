@@ -547,6 +547,7 @@ def test_a_child_starts_from_its_parents_policy_until_it_has_a_checkpoint_of_its
     [
         ({"parent_job_id": "job_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_job_id"),
         ({"spec": TrainingSpec(algorithm={"hidden_sizes": (32,)})}, "spec.algorithm.hidden_sizes"),
+        ({"spec": TrainingSpec(algorithm={"normalize_observations": False})}, "spec.algorithm.normalize_observations"),
         ({"spec": TrainingSpec(robot="t1")}, "spec.robot"),
         ({"parent_checkpoint_id": "ckpt_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_checkpoint_id"),
     ],

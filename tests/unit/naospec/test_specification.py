@@ -243,6 +243,11 @@ def test_a_stage_with_another_task_has_that_tasks_own_settings() -> None:
         ([{"steps": 10, "task": {"version": 2}}], "stages.0.task.version: cannot differ between stages"),
         ([{"steps": 10, "algorithm": {"name": "ppo"}}], "stages.0.algorithm.name: cannot differ between stages"),
         ([{"steps": 10}, {"steps": 10, "algorithm": {"hidden_sizes": [8]}}], "stages.1.algorithm: all stages train"),
+        (
+            [{"steps": 10, "algorithm": {"symmetric_policy": False}}, {"steps": 10}],
+            "stages.1.algorithm: all stages train the same policy, so symmetric_policy cannot be True after False",
+        ),
+        ([{"steps": 10}, {"steps": 10, "algorithm": {"normalize_observations": False}}], "normalize_observations"),
         ([{"steps": 10, "robot": "nao-9"}], "stages.0.robot: unknown robot"),
         ([{"steps": 10, "task": {"min_height_m": 0.385}}], "stages.0: task.min_height_m: 0.385"),
         ([{"steps": 10, "algorithm": {"batch_size": 5000}}], "stages.0.algorithm: batch_size: 5000 does not divide"),
@@ -250,6 +255,12 @@ def test_a_stage_with_another_task_has_that_tasks_own_settings() -> None:
 )
 def test_impossible_stages_are_refused_by_place(stages: list[dict[str, Any]], words: str) -> None:
     assert words in words_of({"stages": stages})
+
+
+def test_a_later_stage_need_not_treat_left_and_right_alike() -> None:
+    stages = [{"steps": 10}, {"steps": 10, "algorithm": {"symmetric_policy": False}}]
+    spec = TrainingSpec.model_validate({"algorithm": {"preset": "fast"}, "stages": stages})
+    assert [stage.algorithm.symmetric_policy for stage in spec.stage_specs] == [True, False]
 
 
 def test_total_steps_are_the_stages_sum() -> None:
@@ -311,6 +322,27 @@ def test_evaluations_run_the_trainings_task_or_another() -> None:
     assert applied.robot == trained.robot
     staged = TrainingSpec.model_validate({"stages": [{"steps": 10}, {"steps": 10, "task": {"drift_penalty": 0.0}}]})
     assert EvaluationSpec().applied_to(staged).task.drift_penalty == 0.0
+
+
+def test_settings_of_an_evaluations_task_replace_those_of_the_training_and_no_others() -> None:
+    """Also when it has been stored and read: what was not given is the training's, undisturbed, whatever defaults are."""
+    trained = TrainingSpec.model_validate(
+        {"robot": "t1", "task": {"name": "kick", "least_share": 0.6, "friction_min": 0.5, "history_steps": 2}}
+    )
+    evaluation = EvaluationSpec.model_validate({"task": {"name": "kick", "friction_max": 0.6, "friction_min": 0.6}})
+    assert evaluation.model_dump()["task"] == {"name": "kick", "friction_max": 0.6, "friction_min": 0.6}
+    for each in (evaluation, EvaluationSpec.model_validate_json(evaluation.model_dump_json())):
+        task = each.applied_to(trained).task
+        assert task == trained.task.for_evaluation().model_copy(update={"friction_max": 0.6, "friction_min": 0.6})
+    other = EvaluationSpec(task={"name": "velocity"}).applied_to(trained).task
+    assert other == TrainingSpec(robot="t1", task={"name": "velocity", "history_steps": 2}).task
+
+
+@pytest.mark.parametrize("setting", ["disturbance_growth", "command_growth"])
+def test_evaluations_refuse_what_only_changes_a_trainings_beginning(setting: str) -> None:
+    with pytest.raises(ValidationError, match=f"{setting} has a meaning for trainings only; leave it out"):
+        EvaluationSpec(task={"name": "velocity", setting: 0.1})
+    EvaluationSpec(task={"name": "velocity", setting: 0.0})
 
 
 def test_evaluations_take_the_exact_engine_or_another() -> None:

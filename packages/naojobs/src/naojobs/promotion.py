@@ -217,7 +217,7 @@ def _result(session: Session, requirement: Requirement, version: PolicyVersion) 
 
 def _conditions(spec: EvaluationSpec) -> dict[str, Any]:
     """Return what has to be equal in two evaluations for their results to compare."""
-    task = None if spec.task is None else spec.task.model_dump(exclude={"version"})
+    task = None if spec.task is None else spec.task.model_dump(exclude={"version"}, exclude_unset=True)
     return {"task": task, "simulator": spec.simulator, "engine": spec.engine, "deterministic": spec.deterministic}
 
 

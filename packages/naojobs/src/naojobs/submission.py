@@ -402,13 +402,12 @@ def check_fit(request: JobRequest, theirs: TrainingSpec, *, field: str = "") -> 
                 f"use a robot of family {family}",
                 field or "spec.robot",
             )
-    shape = theirs.algorithm.policy_shape()
-    for name, value in request.spec.algorithm.policy_shape().items():
-        if shape.get(name) != value:
-            raise InvalidError(
-                f"the parent's policy has {name} {shape.get(name)}, this job {value}; they must be the same",
-                field or f"spec.algorithm.{name}",
-            )
+    if (misfit := request.spec.stage_specs[0].algorithm.misfit(theirs.stage_specs[-1].algorithm)) is not None:
+        name, there, here = misfit
+        raise InvalidError(
+            f"the parent's policy has {name} {there}, this job {here}; they must be the same",
+            field or f"spec.algorithm.{name}",
+        )
 
 
 def submit_evaluation(

@@ -126,10 +126,6 @@ def as_mapping(value: Any) -> Any:
     return value
 
 
-def _dump(section: Any, info: SerializationInfo) -> Any:
-    return section.model_dump(mode=info.mode, exclude_none=info.exclude_none)
-
-
 def _require_known(values: Mapping[str, Any], model: type[Section], owner: str) -> None:
     """Raise ValidationError for settings that a plug-in does not have; the message lists those that it has."""
     known = [name for name in model.model_fields if name != "name"]
@@ -154,11 +150,18 @@ def _require_known(values: Mapping[str, Any], model: type[Section], owner: str) 
 
 
 class PluginSection:
-    """Annotation of a field that contains a section whose model its ``name`` decides: its validation and schema."""
+    """Annotation of a field that contains a section whose model its ``name`` decides: its validation and schema.
 
-    def __init__(self, group: str, base: type[Section]) -> None:
+    Args:
+        group: entry-point group of the plug-ins.
+        base: what their settings subclass.
+        given: whether only settings that were given are written, since others mean something else where it is read.
+    """
+
+    def __init__(self, group: str, base: type[Section], *, given: bool = False) -> None:
         self.group = group
         self.base = base
+        self._given = given
 
     def validate(self, value: Any, info: ValidationInfo) -> Any:
         """Return the section that a name or mapping stands for."""
@@ -204,8 +207,13 @@ class PluginSection:
         """Return the schema of a value that :meth:`validate` turns into a section."""
         del source, handler
         return core_schema.with_info_plain_validator_function(
-            self.validate, serialization=core_schema.plain_serializer_function_ser_schema(_dump, info_arg=True)
+            self.validate, serialization=core_schema.plain_serializer_function_ser_schema(self._dump, info_arg=True)
         )
+
+    def _dump(self, section: Any, info: SerializationInfo) -> Any:
+        """Return a section's settings by name."""
+        content = section.model_dump(mode=info.mode, exclude_none=info.exclude_none, exclude_unset=self._given)
+        return {"name": section.name, **content}
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Return the union of the schemas of all installed plug-ins, distinguished by ``name``."""

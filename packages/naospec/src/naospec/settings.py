@@ -103,8 +103,17 @@ class LearnerSettings(Section):
         return self.n_envs * self.n_steps
 
     def policy_shape(self) -> dict[str, Any]:
-        """Return the settings that two trainings must share for one to start from the other's policy."""
+        """Return the settings that the policy has to have, too, from which a training with these starts."""
         return {}
+
+    def misfit(self, start: LearnerSettings) -> tuple[str, Any, Any] | None:
+        """Return why a training cannot start from the policy of one with the settings ``start``; None if it can.
+
+        That is the first setting of :meth:`policy_shape` that differs: its name, its value there, and that of these.
+        """
+        there = start.policy_shape()
+        found = ((name, there.get(name, getattr(start, name, None)), ours) for name, ours in self.policy_shape().items())
+        return next((each for each in found if each[1] != each[2]), None)
 
 
 class RuntimeSettings(BaseModel):

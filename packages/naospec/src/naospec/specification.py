@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping
 from functools import cached_property
@@ -94,13 +95,13 @@ class TrainingSpec(_Specification, TrainingFields):
                     "total_steps: {total} is not the sum of the stages' steps, {sum}; leave total_steps out",
                     {"total": self.total_steps, "sum": total},
                 )
-            shapes = [stage.algorithm.policy_shape() for stage in self.stage_specs]
-            for number, shape in enumerate(shapes):
-                if shape != shapes[0]:
+            for number, (before, stage) in enumerate(itertools.pairwise(self.stage_specs), start=1):
+                if (misfit := stage.algorithm.misfit(before.algorithm)) is not None:
+                    name, there, here = misfit
                     raise PydanticCustomError(
                         "stage_policy",
-                        "stages.{number}.algorithm: all stages train the same policy, so {names} cannot differ",
-                        {"number": number, "names": ", ".join(shape)},
+                        "stages.{number}.algorithm: all stages train the same policy, so {name} cannot be {here} after {there}",
+                        {"number": number, "name": name, "here": str(here), "there": str(there)},
                     )
         return self
 
@@ -223,10 +224,11 @@ class EvaluationSpec(_Specification):
     seed: int = Field(
         default=0, ge=0, le=2**31 - 1, title="Seed", description="Seed of the starts and of the bootstrap intervals."
     )
-    task: Annotated[TaskSettings, PluginSection(plugins.TASKS, TaskSettings)] | None = Field(
+    task: Annotated[TaskSettings, PluginSection(plugins.TASKS, TaskSettings, given=True)] | None = Field(
         default=None,
         title="Task",
-        description="Task to run, with its settings; left out: the training's.",
+        description="Task to run, with its settings; left out: the training's, undisturbed. So are settings of the "
+        "training's own task that are left out.",
     )
     deterministic: bool = Field(
         default=True, title="Deterministic", description="Take the mean action instead of sampling one."
@@ -284,17 +286,34 @@ class EvaluationSpec(_Specification):
             plugins.load(plugins.SIMULATORS, value)
         return value
 
+    @field_validator("task")
+    @classmethod
+    def _has_its_effect(cls, value: TaskSettings | None) -> TaskSettings | None:
+        """Refuse settings that only change what a training does first."""
+        fields = {} if value is None else type(value).model_fields
+        for name in fields.keys() & (set() if value is None else value.model_fields_set):
+            extra = fields[name].json_schema_extra
+            if isinstance(extra, dict) and extra.get("training_only") and getattr(value, name) != fields[name].default:
+                raise PydanticCustomError(
+                    "training_only", "{name} has a meaning for trainings only; leave it out", {"name": name}
+                )
+        return value
+
     def applied_to(self, trained: TrainingSpec) -> TrainingSpec:
         """Return the specification of the episodes: the training's, with this evaluation's task and simulator.
+
+        A task of the training's name has the training's settings besides those that were given.
 
         Raises:
             pydantic.ValidationError: if the combination is impossible.
         """
         last = trained.stage_specs[-1]
         content = last.model_dump(exclude={"stages"})
-        task = last.task.for_evaluation() if self.task is None else self.task
+        given = {} if self.task is None else self.task.model_dump(exclude_unset=True, exclude_none=True)
+        own = self.task is None or self.task.name == last.task.name
         content["task"] = {
-            **task.model_dump(exclude_none=self.task is not None),
+            **(last.task.for_evaluation().model_dump() if own else {}),
+            **given,
             "history_steps": last.task.history_steps,  # a policy's inputs are what it was trained with
         }
         if self.start_noise_deg is not None:

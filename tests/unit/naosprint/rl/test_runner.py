@@ -192,6 +192,23 @@ def test_initial_policy_of_another_shape_is_refused(
         train(make_spec(hidden_sizes=(8, 8)), workdir=tmp_path, reporter=recorder, initial_policy=checkpoint)
 
 
+def test_a_symmetric_policy_starts_from_one_and_may_stop_being_one(
+    make_spec: Make, tmp_path: Path, recorder: Any
+) -> None:
+    """From another one it would act unlike the network that is differentiated, and learn nothing."""
+
+    def start(symmetric: bool, **settings: Any) -> Path:
+        spec = make_spec(symmetric_policy=symmetric, total_steps=256)
+        return train(spec, workdir=tmp_path / str(len(settings)), reporter=recorder, **settings).checkpoint
+
+    both, one = start(True), start(False)
+    start(False, initial_policy=both)
+    with pytest.raises(CheckpointError, match="policy has symmetric_policy False, this training has True; set algorithm"):
+        start(True, initial_policy=one)
+    with pytest.raises(CheckpointError, match="policy has normalize_observations True, this training has False"):
+        train(make_spec(normalize_observations=False), workdir=tmp_path, reporter=recorder, initial_policy=both)
+
+
 def test_a_robot_with_toes_starts_from_the_policy_of_one_without(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
 ) -> None:

@@ -231,14 +231,8 @@ class _ImpossibleError(Exception):
 
 def _evaluated(checkpoint: Path, settings: dict[str, Any], episodes: int, threads: int) -> dict[str, Any]:
     """Return the summary of episodes with these settings of the task, the world ideal otherwise."""
-    task = read_manifest(checkpoint).stage_spec.task.for_evaluation()
-    spec = EvaluationSpec(
-        episodes=episodes,
-        seed=SEED,
-        trajectories=1,
-        bootstrap_resamples=100,
-        task={**task.model_dump(exclude_none=True), **settings},
-    )
+    task = {"name": read_manifest(checkpoint).stage_spec.task.name, **settings}
+    spec = EvaluationSpec(episodes=episodes, seed=SEED, trajectories=1, bootstrap_resamples=100, task=task)
     try:
         return evaluate(checkpoint, spec, threads=threads).summary
     except ValueError as error:

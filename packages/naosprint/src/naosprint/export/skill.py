@@ -185,7 +185,7 @@ def record(policy: NetworkPolicy, manifest: Manifest, target: _Target) -> tuple[
 
     Every array has a row per cycle; the episode ends early if the robot falls.
     """
-    spec = EvaluationSpec(episodes=1, simulator="embedded").applied_to(manifest.spec)
+    spec = EvaluationSpec(episodes=1, simulator="embedded").applied_to(manifest.stage_spec)
     environment = open_environment(spec, 1, threads=1)
     left_out = {name for name, needed in target.optional.items() if not needed(environment)}
     measured = {name: measure for name, measure in target.inputs.items() if name not in left_out}

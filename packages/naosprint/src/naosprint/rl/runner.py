@@ -341,13 +341,11 @@ class _Session:
                 f"{directory}: its policy was trained by algorithm {manifest.stage_spec.algorithm.name}, this training "
                 f"uses {algorithm.name}; set algorithm to {manifest.stage_spec.algorithm.name}"
             )
-        theirs, ours = manifest.stage_spec.algorithm.policy_shape(), algorithm.policy_shape()
-        for name, value in ours.items():
-            if theirs.get(name) != value:
-                raise CheckpointError(
-                    f"{directory}: its policy has {name} {theirs.get(name)}, this training has {value}; "
-                    f"set algorithm.{name} to {theirs.get(name)}"
-                )
+        if (misfit := algorithm.misfit(manifest.stage_spec.algorithm)) is not None:
+            name, theirs, ours = misfit
+            raise CheckpointError(
+                f"{directory}: its policy has {name} {theirs}, this training has {ours}; set algorithm.{name} to {theirs}"
+            )
         policy: Mapping[str, AnyArray] = read_file(directory, manifest, POLICY)
         try:
             policy = self.learner.adapt_policy(

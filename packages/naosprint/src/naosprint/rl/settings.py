@@ -249,8 +249,12 @@ class PPOSettings(LearnerSettings):
         return self
 
     def policy_shape(self) -> dict[str, Any]:
-        """Return the settings that two trainings must share for one to start from the other's policy."""
-        return {"hidden_sizes": list(self.hidden_sizes)}
+        """Return the settings that the policy has to have, too, from which a training with these starts.
+
+        A policy that treats left and right alike can stop doing so; another one cannot begin to without becoming another.
+        """
+        shape = {"hidden_sizes": list(self.hidden_sizes), "normalize_observations": self.normalize_observations}
+        return {**shape, "symmetric_policy": True} if self.symmetric_policy else shape
 
 
 METRICS: tuple[Metric, ...] = (

@@ -126,6 +126,7 @@ class CommandSettings(AccelerationSettings):
         description=f"A robot's commands begin within {FIRST_RANGE:.0%} of their range; every command that it follows "
         "for a second adds this fraction of the rest, and every one that it misses, and every fall, takes it away. "
         "0: the whole range from the start.",
+        json_schema_extra={"training_only": True},
     )
     command_error_mps: float = Field(
         default=0.3,

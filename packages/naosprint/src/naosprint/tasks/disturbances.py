@@ -163,6 +163,7 @@ class DisturbanceSettings(TaskSettings):
         description="A robot's disturbances begin without strength; every episode that does not fail adds this "
         "fraction of their full strength, and every one that fails takes it away. 0: full strength from the start. The "
         "extra delay's lower end and gravity do not grow.",
+        json_schema_extra={"training_only": True},
     )
     episode_worlds: bool = Field(
         default=False,
