@@ -19,7 +19,7 @@ from naojobs.models import Evaluation, Event, Job, LeaseClock, MetricsRecord
 from naojobs.quotas import Quota
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import GroupRequest, JobRequest
-from naospec import EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec, plugins
 from sqlalchemy import event, func, select, text, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
@@ -341,6 +341,26 @@ def test_a_job_of_an_older_version_is_no_parent_and_fails_when_it_is_claimed(
     kept = get(sessions, old.id)
     assert kept.state is WorkState.FAILED
     assert "does not fit this version" in (kept.error or "")
+
+
+def test_a_job_for_which_a_plug_in_breaks_fails_and_the_next_one_runs(
+    sessions: Sessions, submit: Callable[..., Job], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise no worker would ever claim anything behind it."""
+    first, second = submit(priority=9), submit(priority=9)
+    load = plugins.load
+
+    def broken(group: str, name: str) -> Any:
+        monkeypatch.setattr(plugins, "load", load)  # it breaks once
+        raise KeyError(name)
+
+    monkeypatch.setattr(plugins, "load", broken)
+    have = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
+    claim = leases.claim_next(sessions, "w", capabilities=have, models=[Job])
+    assert claim is not None and claim.lease.id == second.id
+    kept = get(sessions, first.id)
+    assert kept.state is WorkState.FAILED
+    assert (kept.error or "").startswith("the specification cannot be read: KeyError: ")
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -64,6 +64,29 @@ def told(service: Service, study_id: str) -> list[Any]:
         return list(optuna.load_study(study_name=study_id, storage=conductor._optuna()).get_trials())
 
 
+def test_a_study_that_cannot_be_advanced_fails_and_keeps_no_other_from_advancing(
+    service: Service, conductor: Conductor
+) -> None:
+    """Whatever the order; and it goes on once its plug-in is back, if it is extended."""
+    broken, whole = start(service), start(service)
+    with service.sessions.begin() as session:
+        row = session.get_one(Study, broken.id)
+        spec = row.job["spec"]
+        row.job = {**row.job, "spec": {**spec, "task": {"name": "gone"}}}
+    assert conductor.advance_all()
+    assert len(study_of(service, whole.id)[1]) == 2
+    ended, trials = study_of(service, broken.id)
+    assert (ended.state, trials) == (StudyState.FAILED, [])
+    assert ended.error is not None and ended.error.startswith("it does not fit this version: ") and "gone" in ended.error
+
+    with service.sessions.begin() as session:
+        row = session.get_one(Study, broken.id)
+        row.job = {**row.job, "spec": spec}
+    studies.extend_study(service.sessions, broken.id, 5)
+    assert conductor.advance_all()
+    assert len(study_of(service, broken.id)[1]) == 2
+
+
 @pytest.fixture
 def conductor(service: Service) -> Conductor:
     return Conductor(service.sessions, service.settings.sqlalchemy_url)

@@ -6,6 +6,7 @@ still while the database is down (`naojobs.models.lease_time`).
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -15,6 +16,7 @@ import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validation_words
 from pydantic import ValidationError
 from sqlalchemy import ColumnElement, Row, ScalarSelect, and_, false, func, or_, select, update
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
@@ -40,11 +42,15 @@ from naojobs.models import (
 from naojobs.states import WorkState
 from naojobs.teams import MatchSpec
 
+logger = logging.getLogger(__name__)
+
 DEFAULT_LEASE_S = 30.0
 """Seconds after a heartbeat at which a lease expires."""
 
 LONGEST_POSTPONE_S = 300.0
 """Most seconds until the next attempt at work that was postponed."""
+
+_MAX_REASON = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +187,7 @@ def take(session: Session, work: AnyWork, worker: str, lease_s: float) -> Claim 
     """Lease a locked row to `worker`; the new attempt fences off every earlier worker.
 
     Work fails whose specification this version cannot read, or that lacks a policy or a team that it starts with; then
-    None is returned.
+    None is returned. So does work for which a plug-in fails: otherwise nothing behind it would ever be claimed.
     """
     lease = Lease(
         work.kind, work.id, work.job_id, worker, work.attempt + 1, session.scalars(select(generation())).one()
@@ -202,6 +208,12 @@ def take(session: Session, work: AnyWork, worker: str, lease_s: float) -> Claim 
     except (ValidationError, plugins.BrokenPluginError) as error:
         words = validation_words(error.errors()) if isinstance(error, ValidationError) else str(error)
         _refuse(session, work, f"the specification does not fit this version: {words}")
+        return None
+    except SQLAlchemyError:
+        raise
+    except Exception as error:
+        logger.exception("%s cannot be begun", work.id)
+        _refuse(session, work, f"the specification cannot be read: {type(error).__name__}: {error}"[:_MAX_REASON])
         return None
     change(work, WorkState.STARTING)
     work.attempt += 1

@@ -8,6 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Scalar = bool | int | float | str | None
 """Value of a setting that a search can choose."""
+MAX_VALUES = 1_000_000
+"""Values of a range with steps."""
+MAX_WHOLE = 2**53
+"""Largest whole number, which samplers, whose numbers are doubles, can still tell from the next."""
 
 
 class _Model(BaseModel):
@@ -29,6 +33,8 @@ class _Range(_Model):
             raise ValueError(f"low: a logarithmic range needs a positive lower end, got {self.low:g}; use log=false")
         if self.log and self.step is not None:
             raise ValueError("step: cannot be combined with log; leave one of them out")
+        if self.step is not None and (self.high - self.low) / MAX_VALUES > self.step:
+            raise ValueError(f"step: {self.step:g} makes more than {MAX_VALUES:,} values; use a larger step, or none")
         return self
 
     def ends(self) -> tuple[Any, ...]:
@@ -46,8 +52,8 @@ class IntRange(_Range):
     """Range of a whole number."""
 
     type: Literal["int"] = "int"
-    low: int = Field(description="Smallest value.")
-    high: int = Field(description="Largest value.")
+    low: int = Field(ge=-MAX_WHOLE, le=MAX_WHOLE, description="Smallest value.")
+    high: int = Field(ge=-MAX_WHOLE, le=MAX_WHOLE, description="Largest value.")
     step: int | None = Field(default=None, ge=1, description="Distance between values; null for 1.")
 
 

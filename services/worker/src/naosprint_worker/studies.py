@@ -25,12 +25,16 @@ from naojobs.ids import same_id
 from naojobs.models import Evaluation, Job, MetricsRecord, Study, StudyState, Trial, TrialState
 from naojobs.states import ENDED, WorkState
 from naojobs.submission import JobRequest, add_job
+from naospec import validation_words
 from naospec.search import Choices, IntRange, Parameter, Pruning, SearchSpec
+from pydantic import ValidationError
 from sqlalchemy import func, select, text
 from sqlalchemy.orm import Session
 
 from naosprint_worker import population
+from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.population import Start
+from naosprint_worker.retry import describe
 
 # Optuna takes a second to load and most workers never conduct a study.
 if TYPE_CHECKING:
@@ -58,12 +62,35 @@ class Conductor:
         self._storage: optuna.storages.BaseStorage | None = None
 
     def advance_all(self) -> bool:
-        """Advance every running study by one pass; return whether jobs were queued."""
+        """Advance every running study by one pass; return whether jobs were queued.
+
+        One that cannot be advanced fails, and keeps no other from advancing. Each pass has an order of its own, so that
+        a study for which the database takes too long does not either.
+        """
         with self._sessions() as session:
             running = session.scalars(
-                select(Study.id).where(Study.state == StudyState.RUNNING).order_by(Study.id)
+                select(Study.id).where(Study.state == StudyState.RUNNING).order_by(func.random())
             ).all()
-        return any([self.advance(study_id) for study_id in running])
+        queued = False
+        for study_id in running:
+            try:
+                queued = self.advance(study_id) or queued
+            except Exception as error:
+                if isinstance(error, DATABASE_ERRORS) or isinstance(error.__cause__, DATABASE_ERRORS):
+                    raise
+                logger.exception("study %s cannot be advanced", study_id)
+                self._give_up(study_id, error)
+        return queued
+
+    def _give_up(self, study_id: str, error: Exception) -> None:
+        """End a study that cannot be advanced; it can be extended when the reason is gone."""
+        refused = isinstance(error, ValidationError)
+        why = f"it does not fit this version: {validation_words(error.errors())}" if refused else describe(error, 500)
+        with self._sessions.begin() as session:
+            running = (Study.id == study_id, Study.state == StudyState.RUNNING)
+            study = session.scalar(select(Study).where(*running).with_for_update())
+            if study is not None:
+                studies.end(session, study, StudyState.FAILED, why)
 
     def advance(self, study_id: str) -> bool:
         """Report what has ended, prune what falls behind and start what is missing; return whether jobs were queued.
