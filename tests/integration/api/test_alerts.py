@@ -8,6 +8,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from email.message import EmailMessage
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -19,6 +20,7 @@ from aiosmtpd.smtp import AuthResult, LoginPassword
 from naojobs import outcomes
 from naojobs.leases import Lease
 from naojobs.states import WorkState
+from naosprint_api import alerts
 
 from tests.ports import reserved_port
 
@@ -163,3 +165,26 @@ def test_a_wrong_alert_is_refused_without_its_secrets(client: httpx.Client, url:
     (error,) = answer.json()["errors"]
     assert error["field"] == "url" and detail in error["message"], error
     assert "hidden" not in answer.text
+
+
+def test_an_address_is_tried_only_where_there_is_room_for_it_and_few_at_a_time(
+    start_api: Callable[..., Any], make_client: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each takes a process of 30 MB, so that a user could fill the memory."""
+    url = {"url": "slack://T1JJ3T3L2/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ"}
+    full = start_api(api_max_webhooks=0)
+    client = make_client("alice", "submit")
+    with monkeypatch.context() as patched:
+        patched.setattr(alerts, "_run", pytest.fail)  # it starts the process
+        answer = httpx.post(f"{full.url}/webhooks", json=url, headers=client.headers)
+    assert (answer.status_code, answer.json()["errors"][0]["field"]) == (429, "owner")
+
+    with ExitStack() as busy:
+        for _ in range(alerts.TRIED_AT_A_TIME):
+            busy.enter_context(alerts._trying)
+        answer = client.post("/webhooks", json=url)
+        assert (answer.status_code, answer.headers["Retry-After"]) == (429, "3")
+        assert "tried" in answer.json()["detail"]
+    answer = client.post("/webhooks", json=url)
+    assert answer.status_code == 201
+    client.delete(f"/webhooks/{answer.json()['id']}").raise_for_status()

@@ -84,6 +84,24 @@ def test_a_hostile_body_with_a_token_costs_little(client: httpx.Client, body: by
     assert peak < 100 * len(body) + 20_000_000
 
 
+@pytest.mark.parametrize(
+    ("method", "path", "kind"),
+    [
+        ("PUT", "/teams/x", "application/json"),
+        ("PUT", "/teams/x", "application/octet-stream; charset=utf-8"),
+        ("PUT", "/teams/x", None),
+        ("POST", "/teams/x", "application/octet-stream"),
+        ("PUT", "/tokens", "application/octet-stream"),
+    ],
+)
+def test_only_an_archive_may_be_large(client: httpx.Client, method: str, path: str, kind: str | None) -> None:
+    """A body of 2 MiB that is parsed on arrival takes long, whoever sends it."""
+    body = b"[" + b"[]," * 700_000 + b"0]"
+    headers = {} if kind is None else {"Content-Type": kind}
+    answer = client.request(method, path, content=body, headers=headers)
+    assert (answer.status_code, answer.json()["detail"]) == (413, "the body is larger than 1048576 bytes; send less")
+
+
 @pytest.mark.parametrize("path", ["/spec/schema", "/openapi.json", "/ui/index.html", "/", "/tasks", "/healthz"])
 @pytest.mark.parametrize("headers", [{}, {"Authorization": "Bearer nao_unknown"}], ids=["none", "unknown"])
 def test_requests_without_a_token_are_counted_everywhere(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_network
@@ -358,6 +359,37 @@ def test_owners_take_turns(sessions: Sessions, subscribe: Callable[..., Webhook]
     taken = [message.owner for message in webhooks.take_due(sessions)]
     assert len(taken) == webhooks.MOST_SENDING and "late" in taken
     assert {taken.count(owner) for owner in owners} <= {12, 13}
+
+
+def test_alerts_have_places_of_their_own_and_one_owner_does_not_fill_them(
+    sessions: Sessions, subscribe: Callable[..., Webhook]
+) -> None:
+    """Each takes a process, so few are sent at a time; one that is being sent is taken by nobody, however long it takes."""
+
+    def publish(owner: str) -> None:
+        with sessions.begin() as session:
+            webhooks.publish(session, owner, MessageType.JOB_ENDED, {})
+
+    def taken(sending: Sequence[webhooks.Message] = ()) -> list[webhooks.Message]:
+        return webhooks.take_due(sessions, sending)
+
+    for owner in ("slow", *(f"other-{number}" for number in range(4))):
+        for number in range(4):
+            url = f"ntfys://{owner}-{number}.example.org/topic"
+            webhooks.create_webhook(sessions, owner=owner, url=url, signed=False, events=list(MessageType))
+    subscribe(owner="slow")
+    publish("slow")
+    first = taken()
+    alerts = [message for message in first if webhooks.is_alert(message.url)]
+    assert (len(first), len(alerts)) == (3, webhooks.MOST_ALERTS_OF_OWNER)
+    advance(sessions, 2 * webhooks.TAKEN_S)
+    assert taken(first) == []
+
+    for number in range(4):
+        publish(f"other-{number}")
+    owners = Counter(message.owner for message in taken(first))
+    assert owners.total() == webhooks.MOST_ALERTS - len(alerts)
+    assert "slow" not in owners and max(owners.values()) == webhooks.MOST_ALERTS_OF_OWNER
 
 
 def test_a_webhook_that_fails_waits_as_a_whole(

@@ -11,6 +11,7 @@ import pytest
 from naojobs.database import CHANNEL, make_engine, make_sessions, notify
 from naojobs.settings import ServiceSettings
 from sqlalchemy import text
+from sqlalchemy.exc import DataError
 from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
@@ -84,3 +85,10 @@ def test_a_notification_that_fails_leaves_the_commit(sessions: Sessions) -> None
     with sessions.begin() as session:
         assert session.execute(text("SELECT count(*) FROM kept")).scalar_one() == 0
         session.execute(text("DROP TABLE kept"))
+
+
+def test_errors_do_not_repeat_parameters(sessions: Sessions) -> None:
+    """They are logged, and secrets of webhooks are parameters."""
+    with pytest.raises(DataError) as caught, sessions.begin() as session:
+        session.execute(text("SELECT 1 / 0, cast(:secret AS text)"), {"secret": "whsec_hidden"})
+    assert "division by zero" in str(caught.value) and "hidden" not in str(caught.value)

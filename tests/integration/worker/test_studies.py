@@ -77,7 +77,9 @@ def test_a_study_that_cannot_be_advanced_fails_and_keeps_no_other_from_advancing
     assert len(study_of(service, whole.id)[1]) == 2
     ended, trials = study_of(service, broken.id)
     assert (ended.state, trials) == (StudyState.FAILED, [])
-    assert ended.error is not None and ended.error.startswith("it does not fit this version: ") and "gone" in ended.error
+    assert (
+        ended.error is not None and ended.error.startswith("it does not fit this version: ") and "gone" in ended.error
+    )
 
     with service.sessions.begin() as session:
         row = session.get_one(Study, broken.id)

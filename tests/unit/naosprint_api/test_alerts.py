@@ -8,6 +8,7 @@ import sys
 from ipaddress import ip_network
 
 import pytest
+from naojobs.webhooks import is_alert
 from naosprint_api import alerts
 
 TOKENS = "T1JJ3T3L2/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ"
@@ -31,7 +32,7 @@ SHOWN = (
 @pytest.mark.parametrize(("url", "shown"), SHOWN)
 def test_an_address_is_accepted_and_its_secrets_are_not_shown(url: str, shown: str) -> None:
     assert alerts.shown_address(url) == shown
-    if alerts.is_alert(url):
+    if is_alert(url):
         alerts.check_address(url)
         alerts.check_hosts(url, ())
 
@@ -67,7 +68,7 @@ def test_hosts_that_are_not_public_are_refused(url: str) -> None:
 
 
 def test_apprise_reads_the_addresses_of_all_services() -> None:
-    urls = [url for url, _ in SHOWN if alerts.is_alert(url)]
+    urls = [url for url, _ in SHOWN if is_alert(url)]
     code = "import sys, apprise; print([bool(apprise.Apprise.instantiate(url)) for url in sys.argv[1:]])"
     done = subprocess.run([sys.executable, "-c", code, *urls], capture_output=True, text=True, check=True)
     assert done.stdout == f"{[True] * len(urls)}\n"

@@ -72,6 +72,7 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
         max_overflow=pool_size,
         pool_recycle=1800,
         pool_timeout=10,
+        hide_parameters=True,  # errors are logged, and some parameters are secrets
         json_deserializer=from_json,
         json_serializer=_json,
         connect_args={

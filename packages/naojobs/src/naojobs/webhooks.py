@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from datetime import UTC, timedelta
 from enum import StrEnum
 from typing import Any
+from urllib.parse import urlsplit
 
 from sqlalchemy import case, delete, func, literal, or_, select, true, update
 from sqlalchemy.orm import Session
@@ -40,6 +41,8 @@ TAKEN_S = 60.0
 """Seconds for which a sender has a message to itself; an attempt has to take less."""
 MOST_SENDING, MOST_OF_OWNER, MOST_TO_WEBHOOK = 64, 16, 8
 """Messages that one process sends at a time: in all, of one owner and to one webhook."""
+MOST_ALERTS, MOST_ALERTS_OF_OWNER = 8, 2
+"""Alerts that one process sends at a time besides, in all and of one owner: each takes a process of its own."""
 MOST_KEPT = 10_000
 """Messages that `forget` keeps for one webhook; older ones are deleted, delivered or not."""
 
@@ -72,6 +75,17 @@ class Message:
     secret: str
     body: str
     """JSON, the same in every attempt."""
+
+
+def is_alert(url: str) -> bool:
+    """Return whether a webhook's address is one of an alert rather than one that gets signed messages."""
+    return urlsplit(url).scheme not in ("http", "https")
+
+
+def check_room(sessions: Sessions, owner: str, limits: Limits) -> None:
+    """Raise QuotaError if `owner` has as many webhooks as `limits` allow."""
+    with sessions.begin() as session:
+        require_room(session, owner, limits, Quota.WEBHOOKS)
 
 
 def create_webhook(
@@ -150,42 +164,49 @@ def publish(session: Session, owner: str, kind: MessageType, data: Mapping[str, 
 def take_due(sessions: Sessions, sending: Collection[Message] = ()) -> list[Message]:
     """Return messages whose next attempt is due, for the caller to send beside those that it is `sending`.
 
-    Together they are at most `MOST_SENDING`, of each owner and to each webhook no more than one process sends at a
-    time, and one to a webhook whose last attempt failed. Several processes may call it at once: each gets other
-    messages.
+    Together they are at most `MOST_SENDING` and `MOST_ALERTS`, of each owner and to each webhook no more than one
+    process sends at a time, and one to a webhook whose last attempt failed. Several processes may call it at once: each
+    gets other messages.
     """
     due = is_due(Delivery.next_at, LONGEST_DELAY_S)
     open_ = or_(Webhook.not_before.is_(None), is_due(Webhook.not_before, LONGEST_DELAY_S))
+    alert = func.lower(Webhook.url).regexp_match("^https?:").is_(False)
     turn = func.row_number().over(partition_by=Delivery.webhook_id, order_by=(Delivery.next_at, Delivery.id))
     of_webhook = (
         select(
             Delivery.id,
             Delivery.next_at,
-            Webhook.owner,
+            alert.label("alert"),
+            func.concat(alert, Webhook.owner).label("lane"),  # an owner's alerts, or what else is sent to it
             (turn + _count(Webhook.id, [message.webhook_id for message in sending])).label("turn"),
             case((Webhook.failures > 0, 1), else_=MOST_TO_WEBHOOK).label("most"),
         )
         .join(Webhook)
-        .where(due, open_)
+        .where(due, open_, Delivery.id.not_in([message.id for message in sending]))
         .subquery()
     )
     columns = of_webhook.c
-    turn = func.row_number().over(partition_by=columns.owner, order_by=(columns.turn, columns.next_at))
+    under_way = [(is_alert(message.url), message.owner) for message in sending]
+    lanes = [f"{'t' if alert else 'f'}{owner}" for alert, owner in under_way]
+    turn = func.row_number().over(partition_by=columns.lane, order_by=(columns.turn, columns.next_at))
     of_owner = (
-        select(
-            columns.id,
-            columns.next_at,
-            (turn + _count(columns.owner, [message.owner for message in sending])).label("turn"),
-        )
+        select(columns.id, columns.next_at, columns.alert, (turn + _count(columns.lane, lanes)).label("turn"))
         .where(columns.turn <= columns.most)
         .subquery()
     )
-    first = (
-        select(of_owner.c.id)
-        .where(of_owner.c.turn <= MOST_OF_OWNER)
-        .order_by(of_owner.c.turn, of_owner.c.next_at)
-        .limit(MOST_SENDING - len(sending))
+    columns = of_owner.c
+    place = func.row_number().over(partition_by=columns.alert, order_by=(columns.turn, columns.next_at))
+    alerts = sum(alert for alert, _ in under_way)
+    in_all = (
+        select(
+            columns.id,
+            (place + case((columns.alert, alerts), else_=len(sending) - alerts)).label("place"),
+            case((columns.alert, MOST_ALERTS), else_=MOST_SENDING).label("most"),
+        )
+        .where(columns.turn <= case((columns.alert, MOST_ALERTS_OF_OWNER), else_=MOST_OF_OWNER))
+        .subquery()
     )
+    first = select(in_all.c.id).where(in_all.c.place <= in_all.c.most)
     with sessions.begin() as session:
         rows = session.execute(
             select(Delivery, Webhook)

@@ -12,24 +12,33 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import parse_qsl, unquote, urlsplit
 
+from naojobs.webhooks import is_alert
+
 from naosprint_api.outbound import Network, is_refused_literal
 
 DEADLINE_S = 20.0
 """Seconds that one attempt may take, with the start of its process."""
-PROCESSES = 8
-"""Alerts that are sent at a time."""
+TRIED_AT_A_TIME = 4
+"""Addresses that are tried at a time."""
 GUIDE = "https://appriseit.com/services/"
 """Where the addresses of the services are described."""
 
 NOT_PUBLIC = "expected a public address; the operator can allow private ones (NAOSPRINT_API_WEBHOOK_NETWORKS)"
 
+_trying = threading.BoundedSemaphore(TRIED_AT_A_TIME)
+
 _PASSED_ON = ("PATH", "LANG", "LC_ALL", "SSL_CERT_FILE", "SSL_CERT_DIR")
 """Variables that a process of an alert gets."""
+
+
+class BusyError(Exception):
+    """Too many addresses are being tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +79,6 @@ CHANNELS: Mapping[str, Channel] = {
     "zulip": _channel("to", "token"),
 }
 """Services by the scheme of their addresses: chat, push and mail; `workflows` is Microsoft Teams."""
-
-
-def is_alert(url: str) -> bool:
-    """Return whether a webhook's address is one of an alert rather than one that gets signed messages."""
-    return urlsplit(url).scheme not in ("http", "https")
 
 
 def check_address(url: str) -> None:
@@ -123,8 +127,17 @@ def _own_host(url: str) -> str | None:
 
 
 def try_address(url: str) -> str | None:
-    """Return none if apprise can read an address, or why not. It starts a process, and sends nothing."""
-    return _run({"url": url})
+    """Return none if apprise can read an address, or why not. It starts a process, and sends nothing.
+
+    Raises:
+        BusyError: if :data:`TRIED_AT_A_TIME` others are being tried.
+    """
+    if not _trying.acquire(blocking=False):  # threads that wait here would be missing for other requests
+        raise BusyError("other addresses are being tried; send the request again in a few seconds")
+    try:
+        return _run({"url": url})
+    finally:
+        _trying.release()
 
 
 def send(url: str, body: str, networks: Sequence[Network]) -> str | None:

@@ -17,7 +17,7 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from starlette.types import ASGIApp, Scope
 
 from naosprint_api import __version__, problems
-from naosprint_api.dependencies import CountedRoute, admit, service_of, storable_body
+from naosprint_api.dependencies import ARCHIVE, CountedRoute, admit, service_of, storable_body
 from naosprint_api.middleware import BodyLimit, Envelope
 from naosprint_api.problems import Problem
 from naosprint_api.routes import (
@@ -154,6 +154,5 @@ def create_asgi(settings: ApiSettings) -> tuple[ASGIApp, Service]:
     service = Service.build(settings)
     app = create_app(service)
     compressed = GZipMiddleware(app, minimum_size=1000, compresslevel=1, exclude_content_types=_NOT_COMPRESSED)
-    return Envelope(
-        BodyLimit(compressed, settings.api_max_body_bytes, {"/teams/": MAX_TEAM_BYTES}), service.telemetry
-    ), service
+    archives = {("PUT", "/teams/", ARCHIVE): MAX_TEAM_BYTES}
+    return Envelope(BodyLimit(compressed, settings.api_max_body_bytes, archives), service.telemetry), service

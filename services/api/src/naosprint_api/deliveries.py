@@ -44,7 +44,7 @@ class Deliverer:
         self._sender = Sender(networks, deadline_s=DEADLINE_S)
         self._poll_s = poll_s
         self._limiter = anyio.CapacityLimiter(THREADS)
-        self._alert_limiter = anyio.CapacityLimiter(alerts.PROCESSES)
+        self._alert_limiter = anyio.CapacityLimiter(webhooks.MOST_ALERTS)
         self._task: asyncio.Task[None] | None = None
         self._sending: dict[asyncio.Task[None], Message] = {}
 
@@ -61,7 +61,7 @@ class Deliverer:
 
     async def send_due(self) -> int:
         """Begin to send due messages beside those on their way and return their number."""
-        if len(self._sending) >= webhooks.MOST_SENDING:
+        if len(self._sending) >= webhooks.MOST_SENDING + webhooks.MOST_ALERTS:
             return 0
         sending = tuple(self._sending.values())
         messages = await self._in_thread(partial(webhooks.take_due, self._sessions, sending))
@@ -110,7 +110,7 @@ class Deliverer:
     async def _send(self, message: Message) -> None:
         status, error = None, None
         try:
-            if alerts.is_alert(message.url):
+            if webhooks.is_alert(message.url):
                 error = await self._alert(message)
             else:
                 status = await self._post(message)

@@ -104,7 +104,7 @@ def route_of(scope: Scope) -> str:
     return "/ui" if scope["path"].startswith("/ui/") else "(unknown)"
 
 
-_NONE_LARGER: Mapping[str, int] = {}
+_NONE_LARGER: Mapping[tuple[str, str, str], int] = {}
 
 
 class BodyLimit:
@@ -114,11 +114,11 @@ class BodyLimit:
     sent everything. For a larger one the connection is closed after the answer.
     """
 
-    def __init__(self, app: ASGIApp, max_bytes: int, larger: Mapping[str, int] = _NONE_LARGER) -> None:
+    def __init__(self, app: ASGIApp, max_bytes: int, larger: Mapping[tuple[str, str, str], int] = _NONE_LARGER) -> None:
         self._app = app
         self._max_bytes = max_bytes
         self._larger = larger
-        """Limits of paths that begin in some way."""
+        """Limits by method, beginning of the path, and content type: anything else there could be parsed on arrival."""
         self._patience_bytes = 16 * max_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -126,8 +126,11 @@ class BodyLimit:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        most = next((most for start, most in self._larger.items() if scope["path"].startswith(start)), self._max_bytes)
-        announced = Headers(scope=scope).get("content-length", "0")
+        headers, most = Headers(scope=scope), self._max_bytes
+        for (method, start, kind), limit in self._larger.items():
+            if (scope["method"], headers.get("content-type")) == (method, kind) and scope["path"].startswith(start):
+                most = limit
+        announced = headers.get("content-length", "0")
         if not announced.isdecimal() or int(announced) > most:
             received = 0
             if announced.isdecimal() and int(announced) <= self._patience_bytes:

@@ -203,7 +203,9 @@ def test_a_symmetric_policy_starts_from_one_and_may_stop_being_one(
 
     both, one = start(True), start(False)
     start(False, initial_policy=both)
-    with pytest.raises(CheckpointError, match="policy has symmetric_policy False, this training has True; set algorithm"):
+    with pytest.raises(
+        CheckpointError, match="policy has symmetric_policy False, this training has True; set algorithm"
+    ):
         start(True, initial_policy=one)
     with pytest.raises(CheckpointError, match="policy has normalize_observations True, this training has False"):
         train(make_spec(normalize_observations=False), workdir=tmp_path, reporter=recorder, initial_policy=both)

@@ -17,7 +17,7 @@ from pydantic import HttpUrl
 from naosprint_api import alerts
 from naosprint_api.dependencies import CountedRoute, Cursor, PageLimit, ServiceDep, Submitter
 from naosprint_api.outbound import Network, is_refused_literal
-from naosprint_api.problems import responses
+from naosprint_api.problems import ProblemError, responses
 from naosprint_api.schemas.webhooks import (
     DeliveryPage,
     DeliveryPublic,
@@ -44,13 +44,16 @@ def _visible(service: Service, principal: Principal, webhook_id: str) -> Webhook
 
 def _refusal(url: str, networks: Sequence[Network]) -> str | None:
     """Return why nothing may be sent to an address, or none."""
-    if not alerts.is_alert(url):
+    if not webhooks.is_alert(url):
         return alerts.NOT_PUBLIC if is_refused_literal(str(HttpUrl(url).host), networks) else None
     try:
         alerts.check_hosts(url, networks)
     except ValueError as error:
         return str(error)
-    return alerts.try_address(url)
+    try:
+        return alerts.try_address(url)
+    except alerts.BusyError as busy:
+        raise ProblemError(429, str(busy), headers={"Retry-After": "3"}) from None
 
 
 @router.post("/webhooks", status_code=201, responses=responses(401, 403, 413, 422, 429, 503))
@@ -61,7 +64,8 @@ def make_webhook(body: WebhookCreate, principal: Submitter, service: ServiceDep)
     other one gets alerts, text for people; no answer shows it again.
     """
     settings = service.settings
-    is_alert = alerts.is_alert(body.url)
+    is_alert = webhooks.is_alert(body.url)
+    webhooks.check_room(service.sessions, principal.owner, settings.limits)  # before a process is started for it
     if (refused := _refusal(body.url, settings.api_webhook_networks)) is not None:
         raise InvalidError(refused, "url")
     webhook = webhooks.create_webhook(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any
 
-from naojobs.webhooks import MessageType
+from naojobs.webhooks import MessageType, is_alert
 from pydantic import AfterValidator, Field, HttpUrl, StringConstraints, ValidationError
 
 from naosprint_api import alerts
@@ -13,7 +13,7 @@ from naosprint_api.schemas.common import Page, RequestBody, RowView
 
 
 def _address(text: str) -> str:
-    if alerts.is_alert(text):
+    if is_alert(text):
         alerts.check_address(text)
         return text
     try:
