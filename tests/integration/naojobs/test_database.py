@@ -90,5 +90,5 @@ def test_a_notification_that_fails_leaves_the_commit(sessions: Sessions) -> None
 def test_errors_do_not_repeat_parameters(sessions: Sessions) -> None:
     """They are logged, and secrets of webhooks are parameters."""
     with pytest.raises(DataError) as caught, sessions.begin() as session:
-        session.execute(text("SELECT 1 / 0, cast(:secret AS text)"), {"secret": "whsec_hidden"})
-    assert "division by zero" in str(caught.value) and "hidden" not in str(caught.value)
+        session.execute(text("SELECT 1 / 0, cast(:secret AS text)"), {"secret": "whsec_aGlk"})
+    assert "division by zero" in str(caught.value) and "whsec" not in str(caught.value)
