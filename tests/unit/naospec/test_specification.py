@@ -325,7 +325,7 @@ def test_evaluations_run_the_trainings_task_or_another() -> None:
 
 
 def test_settings_of_an_evaluations_task_replace_those_of_the_training_and_no_others() -> None:
-    """Also when it has been stored and read: what was not given is the training's, undisturbed, whatever defaults are."""
+    """Also when it has been stored and read: what was not given is the training's, undisturbed, not a default."""
     trained = TrainingSpec.model_validate(
         {"robot": "t1", "task": {"name": "kick", "least_share": 0.6, "friction_min": 0.5, "history_steps": 2}}
     )

@@ -112,10 +112,11 @@ class LearnerSettings(Section):
         That is the first setting of :meth:`policy_shape` that differs: its name, its value there, and that of these.
         """
         there = start.policy_shape()
-        found = (
-            (name, there.get(name, getattr(start, name, None)), ours) for name, ours in self.policy_shape().items()
-        )
-        return next((each for each in found if each[1] != each[2]), None)
+        for name, ours in self.policy_shape().items():
+            theirs = there.get(name, getattr(start, name, None))
+            if theirs != ours:
+                return name, theirs, ours
+        return None
 
 
 class RuntimeSettings(BaseModel):

@@ -100,7 +100,8 @@ class TrainingSpec(_Specification, TrainingFields):
                     name, there, here = misfit
                     raise PydanticCustomError(
                         "stage_policy",
-                        "stages.{number}.algorithm: all stages train the same policy, so {name} cannot be {here} after {there}",
+                        "stages.{number}.algorithm: all stages train the same policy, so {name} cannot be {here} "
+                        "after {there}",
                         {"number": number, "name": name, "here": str(here), "there": str(there)},
                     )
         return self

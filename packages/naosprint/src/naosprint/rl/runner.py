@@ -344,7 +344,8 @@ class _Session:
         if (misfit := algorithm.misfit(manifest.stage_spec.algorithm)) is not None:
             name, theirs, ours = misfit
             raise CheckpointError(
-                f"{directory}: its policy has {name} {theirs}, this training has {ours}; set algorithm.{name} to {theirs}"
+                f"{directory}: its policy has {name} {theirs}, this training has {ours}; "
+                f"set algorithm.{name} to {theirs}"
             )
         policy: Mapping[str, AnyArray] = read_file(directory, manifest, POLICY)
         try:

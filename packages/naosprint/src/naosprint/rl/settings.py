@@ -251,7 +251,7 @@ class PPOSettings(LearnerSettings):
     def policy_shape(self) -> dict[str, Any]:
         """Return the settings that the policy has to have, too, from which a training with these starts.
 
-        A policy that treats left and right alike can stop doing so; another one cannot begin to without becoming another.
+        A policy that treats left and right alike can stop doing so; another one could begin to only as another policy.
         """
         shape = {"hidden_sizes": list(self.hidden_sizes), "normalize_observations": self.normalize_observations}
         return {**shape, "symmetric_policy": True} if self.symmetric_policy else shape
