@@ -107,6 +107,45 @@ def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["evaluate", "sprint", "--threads", "0"], "--threads: '0': expected a number of 1 to 256"),
+        (["handover", "--threads", "-1"], "--threads: '-1': expected a number of 1 to 256"),
+        (["replay", "sprint", "x", "--film-seconds", "0"], "--film-seconds: '0': expected seconds, more than 0"),
+        (["replay", "sprint", "x", "--film-seconds", "inf"], "--film-seconds: 'inf': expected seconds, more than 0"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused_by_flag(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["evaluate", "sprint", "--output"],
+        ["examine", "sprint", "--output"],
+        ["handover", "--output"],
+        ["replay", "sprint"],
+    ],
+)
+def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("evaluation.evaluate", "examination.examine", "transitions.matrix"):
+        monkeypatch.setattr(f"naosprint.analysis.{module}", pytest.fail)
+    (tmp_path / "file").write_text("")
+    assert main([*arguments, str(tmp_path / "file" / "x")]) == 1
+    assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["team", "x", "--team", "other"], "--team: expected 'example' with or without policies of its skills"),
+        (["match", "report", __file__], "test_main.py: not the log of a game"),
+        (["match", "example", "example", "--cpu-seconds", "-1"], "cpu_seconds: must be at least 1, not -1"),
         (["train", "x", "--task", "swim"], "--task: unknown task 'swim': choose one of "),
         (["train", "x", "--n-envs", "many"], "--n-envs: "),
         (["train", "x", "--min-height-m", "-1"], "--min-height-m: "),

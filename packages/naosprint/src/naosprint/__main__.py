@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import math
 import os
 import signal
 import sys
@@ -26,6 +27,8 @@ from pydantic_core import PydanticUndefined
 from naosprint.matches.commands import add_parsers
 from naosprint.matches.game import MatchError
 from naosprint.threads import quiet_openmp
+
+MAX_THREADS, MAX_FILM_S = 256, 3600.0
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -95,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument(
         "--json", action="store_true", help="print everything as JSON, also what the table leaves out"
     )
-    evaluate.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
+    evaluate.add_argument("--threads", type=_threads, default=2, help="threads of the simulator (default: 2)")
     _add_fields(evaluate, EvaluationSpec.model_fields)
     evaluate.set_defaults(run=_evaluate)
 
@@ -112,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
         "--most-failures", type=float, default=0.05, metavar="SHARE", help="share that may fail (default: 0.05)"
     )
     examine.add_argument("--only", metavar="NAMES", help="motion, conditions, or disturbances with commas between")
-    examine.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
+    examine.add_argument("--threads", type=_threads, default=2, help="threads of the simulator (default: 2)")
     examine.set_defaults(run=_examine)
 
     handover = commands.add_parser(
@@ -130,7 +133,7 @@ def _parser() -> argparse.ArgumentParser:
     handover.add_argument("--seed", type=int, default=1, help="seed of states and commands (default: 1)")
     handover.add_argument("--engine", default="mujoco", choices=("fast", "mujoco"), help="engine (default: mujoco)")
     handover.add_argument("--output", type=Path, metavar="FILE", help="JSON file with intervals")
-    handover.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
+    handover.add_argument("--threads", type=_threads, default=2, help="threads of the simulator (default: 2)")
     handover.set_defaults(run=_handover)
 
     verify = commands.add_parser(
@@ -184,7 +187,7 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     replay.add_argument("output", type=Path, help="directory for the files")
     replay.add_argument("--no-film", action="store_true", help="omit the film, which takes most of the time")
-    replay.add_argument("--film-seconds", type=float, metavar="S", help="film the first S seconds (default: all)")
+    replay.add_argument("--film-seconds", type=_seconds, metavar="S", help="film the first S seconds (default: all)")
     _add_fields(replay, {name: EvaluationSpec.model_fields[name] for name in _REPLAY_FIELDS})
     replay.set_defaults(run=_replay)
 
@@ -228,6 +231,30 @@ def _add_option(
         parts.append(f"(default: {default})")
     text = " ".join(parts).replace("%", "%%")
     group.add_argument(_flag(name), dest=f"setting_{name}", metavar="VALUE", help=text)
+
+
+def _threads(text: str) -> int:
+    """Return a number of threads. Raises argparse.ArgumentTypeError."""
+    if not text.isdecimal() or not 1 <= int(text) <= MAX_THREADS:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number of 1 to {MAX_THREADS}")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    """Return a length of time, s. Raises argparse.ArgumentTypeError."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 < seconds <= MAX_FILM_S:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected seconds, more than 0 and at most {MAX_FILM_S:,}")
+    return seconds
+
+
+def _usable(output: Path | None, *, folder: bool) -> None:
+    """Make the folder of an output before anything is computed for it. Raises OSError."""
+    if output is not None:
+        (output if folder else output.parent).mkdir(parents=True, exist_ok=True)
 
 
 def _flag(name: str) -> str:
@@ -355,6 +382,7 @@ def _require_own_folder(workdir: Path, spec: TrainingSpec) -> None:
 def _evaluate(options: argparse.Namespace) -> int:
     spec = EvaluationSpec.model_validate(_given(options, EvaluationSpec.model_fields))
     checkpoint = naopolicies.resolve(options.checkpoint)
+    _usable(options.output, folder=True)
     stop = _stop_on_signals()
 
     from rich.console import Console
@@ -393,6 +421,7 @@ def _examine(options: argparse.Namespace) -> int:
     if not 0.0 <= options.most_failures < 1.0:
         raise ValueError("--most-failures: must be at least 0 and less than 1, for example 0.05")
     checkpoint = naopolicies.resolve(options.checkpoint)
+    _usable(options.output, folder=True)
 
     from rich.console import Console
     from rich.progress import Progress
@@ -418,7 +447,6 @@ def _examine(options: argparse.Namespace) -> int:
 
         from naosprint.analysis import figures
 
-        options.output.mkdir(parents=True, exist_ok=True)
         (options.output / "examination.json").write_text(json_text(found.to_dict()), encoding="utf-8")
         if found.ranges:
             with rc_context(figures.style()):
@@ -432,6 +460,7 @@ def _handover(options: argparse.Namespace) -> int:
     chosen = dict(each.split("=", 1) for each in options.policy if "=" in each)
     if len(chosen) < len(options.policy):
         raise ValueError(f"--policy: {options.policy[-1]!r}: write a task and a policy, for example kick=t1-kick")
+    _usable(options.output, folder=False)
 
     from naospec.json_text import json_text
     from rich.console import Console
@@ -521,12 +550,12 @@ def _export(options: argparse.Namespace) -> int:
 def _replay(options: argparse.Namespace) -> int:
     spec = EvaluationSpec.model_validate({**_given(options, EvaluationSpec.model_fields), "episodes": 1})
     checkpoint = naopolicies.resolve(options.checkpoint)
+    _usable(options.output, folder=True)
 
     from naosprint.analysis.evaluation import evaluate
     from naosprint.analysis.film import write_mp4
 
     replay = evaluate(checkpoint, spec).replay
-    options.output.mkdir(parents=True, exist_ok=True)
     written = [*replay.save(options.output)]
     if not options.no_film:
         written.append(options.output / "replay.mp4")

@@ -12,6 +12,8 @@ import pytest
 from naosim.launchers import Address
 from naospec.teams import skills_of
 from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
+from naosprint.matches.game import GameSettings
+from naosprint.matches.match import log_name, own_folder
 from naosprint.matches.teams import find_team, read_team, write_example
 
 
@@ -45,7 +47,8 @@ def test_an_example_names_its_skills(tmp_path: Path) -> None:
 def test_a_skill_of_another_task_is_refused(tmp_path: Path) -> None:
     bundled = {"walk": "t1-getup", "kick": "t1-kick", "getup": "t1-getup"}
     with pytest.raises(ValueError, match="skill walk: expected a T1's policy of task velocity, got one of task getup"):
-        write_example(tmp_path, {skill: naopolicies.resolve(name) for skill, name in bundled.items()})
+        write_example(tmp_path / "team", {skill: naopolicies.resolve(name) for skill, name in bundled.items()})
+    assert not (tmp_path / "team").exists()
 
 
 def run_agent(folder: Path, program: str, **limits: int) -> tuple[AgentProcess, str]:
@@ -104,3 +107,55 @@ sys.exit(1)
     assert words.count("PermissionError") == 4, words
     assert not (tmp_path / "team" / "mark").exists()
     assert sys.executable
+
+
+def test_a_teams_digest_is_that_of_its_files(tmp_path: Path) -> None:
+    """Wherever they are; compiled files, which appear while it plays, do not count."""
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        (folder / "parts").mkdir(parents=True)
+        (folder / "team.json").write_text(json.dumps({"command": ["{python}", "player.py"]}))
+        (folder / "parts" / "legs.py").write_text("left = 1")
+    first, second = (read_team(tmp_path / name) for name in ("a", "b"))
+    known = first.digest()
+    assert second.digest() == known
+    (tmp_path / "b" / "parts" / "__pycache__").mkdir()
+    (tmp_path / "b" / "parts" / "__pycache__" / "legs.pyc").write_bytes(b"1")
+    assert second.digest() == known
+    (tmp_path / "b" / "parts" / "legs.py").rename(tmp_path / "b" / "legs.py")
+    assert second.digest() != known
+    (tmp_path / "a" / "team.json").write_text(json.dumps({"command": ["{python}", "player.py", "fast"]}))
+    assert read_team(tmp_path / "a").digest() != known
+
+
+def test_a_folder_has_the_games_of_one_match(tmp_path: Path) -> None:
+    """Otherwise a new version of a team would have the results of the old one."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "team.json").write_text(json.dumps({"command": ["{python}", name]}))
+    teams = (read_team(tmp_path / "a"), read_team(tmp_path / "b"))
+    settings, logs = GameSettings(players=2, half_s=10.0), tmp_path / "logs"
+    assert own_folder(logs, teams, settings) == 0
+    assert own_folder(logs, (teams[1], teams[0]), settings) == 0, "nothing has been played"
+    assert own_folder(logs, teams, settings) == 0
+    (logs / log_name(1)).write_bytes(b"")
+    assert own_folder(logs, teams, settings) == 1
+    for others, what in (
+        ((teams[1], teams[0]), "first team, second team"),
+        (teams, "players, seconds"),
+    ):
+        other = settings if others != teams else GameSettings(players=3, half_s=20.0)
+        with pytest.raises(ValueError, match=rf"logs: has 1 games of another match \({what}\); name another folder"):
+            own_folder(logs, others, other)
+    (tmp_path / "b" / "player.py").write_text("faster = True")
+    with pytest.raises(ValueError, match=r"\(second team\)"):
+        own_folder(logs, teams, settings)
+    (logs / "match.json").unlink()
+    with pytest.raises(ValueError, match="which one, is not known"):
+        own_folder(logs, teams, settings)
+
+
+@pytest.mark.parametrize("limits", [{"cpu_s": 0}, {"memory_mb": -1}])
+def test_limits_are_positive(limits: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="must be at least 1"):
+        Limits(**limits)

@@ -192,6 +192,12 @@ def test_initial_policy_of_another_shape_is_refused(
         train(make_spec(hidden_sizes=(8, 8)), workdir=tmp_path, reporter=recorder, initial_policy=checkpoint)
 
 
+def test_a_policy_of_another_robot_is_no_start(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    first = train(make_spec(), workdir=tmp_path / "nao", reporter=recorder).checkpoint
+    with pytest.raises(CheckpointError, match="is for robot nao-0, this training is for t1; use a robot of family nao"):
+        train(make_spec(robot="t1"), workdir=tmp_path / "t1", reporter=recorder, initial_policy=first)
+
+
 def test_a_symmetric_policy_starts_from_one_and_may_stop_being_one(
     make_spec: Make, tmp_path: Path, recorder: Any
 ) -> None:

@@ -9,6 +9,7 @@ mujococodebase/ or FCPCodebase/  a skill for that team code, with recorded value
 
 from __future__ import annotations
 
+import keyword
 import re
 from typing import TYPE_CHECKING
 
@@ -51,8 +52,11 @@ def export_policy(
         ValueError: if the policy is not a network, or a skill is requested and there is none for the robot, or
             ``name`` is not one that C and Python accept.
     """
-    if not _NAME.fullmatch(name):
-        raise ValueError(f"name: {name!r}: expected a letter and then letters, digits and _, all small, at most 40")
+    if not _NAME.fullmatch(name) or keyword.iskeyword(name):
+        raise ValueError(
+            f"name: {name!r}: expected a letter and then letters, digits and _, all small, at most 40, and no keyword "
+            "of Python"
+        )
     policy, manifest = load_policy(checkpoint)
     if not isinstance(policy, NetworkPolicy):
         raise ValueError(

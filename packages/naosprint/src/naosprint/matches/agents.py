@@ -43,6 +43,16 @@ class Limits:
     cpu_s: int = 3600
     memory_mb: int = 4096
 
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises:
+            ValueError: naming the limit.
+        """
+        for name, value in (("cpu_seconds", self.cpu_s), ("memory_mb", self.memory_mb)):
+            if value < 1:
+                raise ValueError(f"{name}: must be at least 1, not {value}")
+
 
 class AgentProcess:
     """One agent of a team, in a process group of its own under a guard that ends it with this process.

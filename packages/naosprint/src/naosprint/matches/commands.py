@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import naopolicies
 from naospec.match_results import table
-from naospec.teams import skills_of
+from naospec.teams import EXAMPLE, skills_of
 
 from naosprint.matches.agents import Limits
 from naosprint.matches.game import GameSettings
 from naosprint.matches.log import GameLog
-from naosprint.matches.match import MatchStoppedError, find_teams, log_name, play_match
+from naosprint.matches.match import MatchStoppedError, find_teams, log_name, own_folder, play_match
 from naosprint.matches.results import match_results
 from naosprint.matches.sequential import Gate, Verdict
 from naosprint.matches.teams import write_example
@@ -56,6 +56,8 @@ def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
     with tempfile.TemporaryDirectory(prefix="naosprint-match-") as scratch:
         teams = find_teams(names, Path(scratch))
         shown = (_shown(first), _shown(others[0]))
+        if (over := own_folder(output, teams, settings)) > 0:
+            sys.stderr.write(f"{output}: {over} games are over already; they count, and are not played again\n")
         try:
             logs = play_match(
                 teams,
@@ -87,6 +89,8 @@ def team(options: argparse.Namespace) -> int:
     """Write the example team to a folder."""
     if options.folder.exists() and any(options.folder.iterdir()):
         raise ValueError(f"{options.folder}: is not empty; name a new folder")
+    if options.team.partition(":")[0] != EXAMPLE:
+        raise ValueError(f"--team: expected {EXAMPLE!r} with or without policies of its skills, not {options.team!r}")
     references = skills_of(options.team)
     write_example(options.folder, {skill: naopolicies.resolve(each) for skill, each in references.items()})
     for path in sorted(options.folder.iterdir()):

@@ -95,7 +95,10 @@ class GameLog:
             OSError: if it cannot be read.
             ValueError: if it is no log of a game.
         """
-        arrays = read_npz(path, max_bytes=_MAX_BYTES)
+        try:
+            arrays = read_npz(path, max_bytes=_MAX_BYTES)
+        except ValueError as error:
+            raise ValueError(f"{path}: not the log of a game ({error})") from None
         try:
             meta = json.loads(arrays["meta"].tobytes())
             if meta["format"] != FORMAT:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 import threading
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from naospec.files import read_json
 
 from naosprint.matches.game import play_game
 from naosprint.matches.log import GameLog
@@ -17,6 +20,9 @@ if TYPE_CHECKING:
 
     from naosprint.matches.game import GameSettings, Moment
     from naosprint.matches.teams import Team
+
+
+_NOTE, _MAX_NOTE_BYTES = "match.json", 100_000
 
 
 class MatchStoppedError(Exception):
@@ -31,6 +37,34 @@ def log_name(game: int) -> str:
 def find_teams(names: tuple[str, str], scratch: Path) -> tuple[Team, Team]:
     """Return the teams that a user names; what has to be written for them goes to ``scratch``."""
     return (find_team(names[0], scratch / "a"), find_team(names[1], scratch / "b"))
+
+
+def own_folder(folder: Path, teams: tuple[Team, Team], settings: GameSettings) -> int:
+    """Note in a folder for logs what is played there; return how many games are over.
+
+    Raises:
+        ValueError: if the games there are of other teams, of other versions of them, or have other settings.
+    """
+    limits = settings.limits
+    match = {
+        "first team": teams[0].digest(),
+        "second team": teams[1].digest(),
+        "players": settings.players,
+        "seconds": settings.half_s,
+        "limits of agents": [limits.cpu_s, limits.memory_mb],
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    note, over = folder / _NOTE, len(list(folder.glob("game-*.npz")))
+    if over:
+        known = read_json(note, _MAX_NOTE_BYTES) if note.exists() else {}
+        differing = [name for name, value in match.items() if not isinstance(known, dict) or known.get(name) != value]
+        if differing:
+            what = ", ".join(differing) if known else "which one, is not known"
+            raise ValueError(
+                f"{folder}: has {over} games of another match ({what}); name another folder with --output, or remove it"
+            )
+    note.write_text(json.dumps(match, indent=2) + "\n", encoding="utf-8")
+    return over
 
 
 def play_match(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import sys
@@ -49,6 +50,16 @@ class Team:
             words.append(word)
         return words
 
+    def digest(self) -> str:
+        """Return the SHA-256 of its command and its files, whatever their folder; compiled files do not count."""
+        command = [word.replace(sys.executable, "{python}") for word in self.command]
+        digest = hashlib.sha256(json.dumps([command, sorted(self.reads), self.image]).encode())
+        for path in sorted(self.folder.rglob("*")):
+            if path.is_file() and path.parent.name != "__pycache__":
+                digest.update(json.dumps(path.relative_to(self.folder).as_posix()).encode())
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+        return digest.hexdigest()
+
 
 def read_team(folder: Path) -> Team:
     """Read the team of a folder.
@@ -94,7 +105,7 @@ def write_example(folder: Path, checkpoints: Mapping[str, Path]) -> Team:
     Raises:
         ValueError: if a policy has another task than its skill, or is not a T1's.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    found = []
     for skill, (task, _) in SKILLS.items():
         policy, manifest = load_policy(checkpoints[skill])
         spec = manifest.stage_spec
@@ -103,6 +114,9 @@ def write_example(folder: Path, checkpoints: Mapping[str, Path]) -> Team:
                 f"skill {skill}: expected a T1's policy of task {task}, got one of task {spec.task.name} "
                 f"for robot {spec.robot.name}"
             )
+        found.append((skill, policy, manifest))
+    folder.mkdir(parents=True, exist_ok=True)
+    for skill, policy, manifest in found:
         with tempfile.TemporaryDirectory() as scratch:
             files = {path.name: path for path in write_skill(policy, manifest, Path(scratch))}
             for name, copy in (("policy.npz", f"{skill}.npz"), ("runner.py", "runner.py"), ("terms.py", "terms.py")):

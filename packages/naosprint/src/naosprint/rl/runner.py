@@ -336,6 +336,11 @@ class _Session:
         manifest = read_manifest(directory)
         environment = self.environment.environment
         algorithm = self.spec.algorithm
+        if manifest.stage_spec.family != self.spec.family:
+            raise CheckpointError(
+                f"{directory}: its policy is for robot {manifest.stage_spec.robot.name}, this training is for "
+                f"{self.spec.robot.name}; use a robot of family {manifest.stage_spec.family}"
+            )
         if manifest.stage_spec.algorithm.name != algorithm.name:
             raise CheckpointError(
                 f"{directory}: its policy was trained by algorithm {manifest.stage_spec.algorithm.name}, this training "
