@@ -100,8 +100,16 @@ def test_versions_and_aliases(client: httpx.Client, name: str, train: Callable[.
     assert client.put(f"/policies/{name}/aliases/best", json={"version": 1}).status_code == 404
     # A number is not used again.
     assert register(client, name, lease, first)["version"] == 3
-    assert client.delete(f"/policies/{name}").status_code == 204
-    assert client.get(f"/policies/{name}").status_code == 404
+    # Nor when the last version is gone, or all of them: what names one would name another checkpoint.
+    require = {"requirements": [{"result": "fall_rate", "most": 0.1}]}
+    client.put(f"/policies/{name}/aliases/best/requirements", json=require).raise_for_status()
+    for number, path in ((4, f"/policies/{name}"), (5, f"/policies/{name}/versions/4")):
+        assert client.delete(path).status_code == 204
+        assert client.get(f"/policies/{name}").status_code == 404
+        assert client.delete(path).status_code == 404
+        assert name not in [card["name"] for card in client.get("/policies?limit=200").json()["items"]]
+        assert register(client, name, lease, first)["version"] == number
+    assert client.put(f"/policies/{name}/aliases/best", json={"version": 5}).status_code == 200, "it requires nothing"
 
 
 def test_a_card_has_metrics_and_lineage(

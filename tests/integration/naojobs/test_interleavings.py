@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -11,24 +12,28 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import pytest
-from naojobs import leases, outcomes, requests, submission
+from naojobs import leases, outcomes, policies, requests, studies, submission
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.leases import JobClaim
 from naojobs.models import Evaluation, Event, Job
+from naojobs.quotas import Quota
 from naojobs.settings import ServiceSettings
 from naojobs.states import LEASED, WorkState
-from naojobs.submission import JobRequest
+from naojobs.studies import StudyRequest
+from naojobs.submission import EvaluationRequest, JobRequest
+from naospec.search import SearchSpec
 from naosprint_worker.context import WorkerContext
 from naosprint_worker.memory import MemoryBudget
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, Outcome, TrainerExitCode
 from naosprint_worker.runs import Run
 from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import Ending, Intent
-from sqlalchemy import func, select, text, update
+from sqlalchemy import Engine, event, func, select, text, update
 
 from tests.integration.attempts import claim_work
 from tests.integration.history import states_of, violations
@@ -266,3 +271,53 @@ def test_a_cancel_that_was_acknowledged_is_kept_however_the_child_ends(context: 
     assert world.request("cancel")
     attempt.end(how)
     assert world.check() is WorkState.CANCELLED
+
+
+def test_quotas_are_waited_for_before_rows_are_locked(sessions: Sessions) -> None:
+    """One order for all: what had locked a row and waited for a quota was awaited by what had the quota already."""
+    limits = dict.fromkeys(Quota, 1_000_000)
+    seen: list[str] = []
+
+    def note(_connection: object, _cursor: object, statement: str, parameters: Any, *_: object) -> None:
+        if "pg_advisory_xact_lock" in statement and (quota := re.search("quota [A-Z_]+", str(parameters))):
+            seen.append(quota[0])
+        elif re.search("FOR (NO KEY )?(UPDATE|KEY SHARE|SHARE)|^INSERT|^UPDATE", statement):
+            seen.append("row")
+
+    def job(**fields: Any) -> str:
+        return submission.submit(sessions, JobRequest(**fields), owner="alice", limits=limits)[0].id
+
+    def study() -> str:
+        space = {"learning_rate": {"type": "float", "low": 1e-4, "high": 1e-3}}
+        request = StudyRequest(JobRequest(), SearchSpec.model_validate({"space": space}))
+        return studies.submit_study(sessions, request, owner="alice", limits=limits)[0].id
+
+    parent, ended, paused, trained, tuned = job(), job(), job(), job(), study()
+    requests.request_cancel(sessions, Job, ended)
+    requests.request_pause(sessions, paused)
+    claim = claim_work(sessions, Job, trained, "w")
+    assert claim is not None
+    outcomes.begin(sessions, claim.lease, step=0)
+    outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
+    record_checkpoint(sessions, claim.lease, step=10, key=f"jobs/{trained}/checkpoints/10", manifest={"files": []})
+    wanted = policies.Registration(trained, notes="fast")
+    actions: dict[str, Callable[[], object]] = {
+        "submit": lambda: job(parent_job_id=parent),
+        "retry": lambda: requests.retry(sessions, Job, ended, limits=limits),
+        "resume": lambda: requests.resume(sessions, paused, limits=limits),
+        "edit": lambda: submission.edit(sessions, parent, notes="slow", priority=7, limits=limits),
+        "evaluate": lambda: submission.submit_evaluation(sessions, trained, EvaluationRequest(), limits=limits),
+        "register": lambda: policies.register(sessions, "quick", wanted, limits=limits),
+        "study": study,
+        "extend": lambda: studies.extend_study(sessions, tuned, 30, limits=limits),
+    }
+    event.listen(Engine, "before_cursor_execute", note)
+    try:
+        for name, action in actions.items():
+            seen.clear()
+            action()
+            first = seen.index("row")
+            assert first > 0, name
+            assert {each for each in seen[first:] if each != "row"} <= set(seen[:first]), name
+    finally:
+        event.remove(Engine, "before_cursor_execute", note)

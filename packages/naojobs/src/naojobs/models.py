@@ -540,7 +540,9 @@ class PolicyRecord(Base):
     owner: Mapped[str] = mapped_column(String(200))
     name: Mapped[str] = mapped_column(String(60))
     last_number: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    """Number of the last version that was registered; numbers are not used again."""
+    """Number of the last version that was registered; numbers are not used again, so that the row stays when the last
+    version is deleted. Without versions there is no such policy to users.
+    """
     requirements: Mapped[dict[str, Any]] = mapped_column(JSONB, server_default=text("'{}'"))
     """By alias, what versions need: lists of `naojobs.promotion.Requirement`."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 
 import naopolicies
 from naospec import stored
-from sqlalchemy import ColumnElement, select
+from sqlalchemy import ColumnElement, delete, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
@@ -26,7 +26,7 @@ from naojobs.ids import new_id
 from naojobs.lineage import lineage_of, trained_by
 from naojobs.models import Checkpoint, Job, PolicyAlias, PolicyRecord, PolicyVersion
 from naojobs.promotion import Requirement
-from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room, wait_for_turn
 
 LATEST = "latest"
 """Alias of the newest version, which no user sets."""
@@ -83,6 +83,8 @@ def register(
         raise InvalidError(f"{name} is a bundled policy; use another name", "name")
     digest = wanted.digest() if idempotency_key is not None else None
     with sessions.begin() as session:
+        owner = session.scalar(select(Job.owner).where(Job.id == wanted.job_id))
+        wait_for_turn(session, owner, limits, Quota.VERSIONS, Quota.ROWS, Quota.NOTES)
         # Locked so that nothing deletes the checkpoint meanwhile, then the policy so that numbers ascend.
         job = lock(session, Job, wanted.job_id)
         if job is None:
@@ -178,7 +180,9 @@ def find(session: Session, owned: ColumnElement[bool], reference: str) -> tuple[
     """
     name, wanted = split(reference)
     found = session.scalars(
-        select(PolicyRecord).where(PolicyRecord.name == name, owned).order_by(PolicyRecord.owner)
+        select(PolicyRecord)
+        .where(PolicyRecord.name == name, owned, PolicyRecord.id.in_(select(PolicyVersion.policy_id)))
+        .order_by(PolicyRecord.owner)
     ).all()
     if not found:
         raise NotFoundError(f"there is no policy {name!r}")
@@ -262,13 +266,16 @@ def delete_version(sessions: Sessions, policy_id: str, number: int) -> None:
         session.delete(version)
         session.flush()
         if session.scalar(select(PolicyVersion.number).where(PolicyVersion.policy_id == policy_id).limit(1)) is None:
-            session.delete(policy)
+            policy.requirements = {}
 
 
 def delete_policy(sessions: Sessions, policy_id: str) -> None:
     """Delete a policy with all versions and aliases; the checkpoints stay with their jobs. Raises NotFoundError."""
     with sessions.begin() as session:
-        session.delete(_locked(session, policy_id))
+        policy = _locked(session, policy_id)
+        for model in (PolicyAlias, PolicyVersion):
+            session.execute(delete(model).where(model.policy_id == policy_id))
+        policy.requirements = {}
 
 
 def _locked(session: Session, policy_id: str) -> PolicyRecord:

@@ -122,17 +122,32 @@ Limits: TypeAlias = Mapping[Quota, int]
 NO_LIMITS: Limits = {}
 
 
+def wait_for_turn(session: Session, owner: str | None, limits: Limits, *quotas: Quota) -> None:
+    """Wait until no other transaction uses these quotas of an owner; what locks rows first could wait for it in a ring.
+
+    Args:
+        session: the database.
+        owner: none for a row that is gone, for which nothing is awaited.
+        limits: quotas without a limit are left out.
+        quotas: all that the transaction will require.
+    """
+    for quota in sorted(limits.keys() & set(quotas), key=list(Quota).index):
+        if owner is not None:
+            key = func.hashtextextended(f"quota {quota.name} {owner}", 0)
+            session.execute(select(func.pg_advisory_xact_lock(key)))
+
+
 def require_room(session: Session, owner: str, limits: Limits, *quotas: Quota, more: int = 1) -> None:
     """Raise QuotaError if `owner` has no room for `more` in one of `quotas`.
 
     Others that require the same of this owner wait until the transaction has ended: two concurrent requests must not
-    both see the last free place.
+    both see the last free place. A transaction that has locked rows before has to begin with `wait_for_turn`.
     """
+    wait_for_turn(session, owner, limits, *quotas)
     for quota in quotas:
         if (most := limits.get(quota)) is None:
             continue
         kind = quota.value
-        session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"quota {quota.name} {owner}", 0))))
         count = sum(session.scalar(query) or 0 for query in kind.amounts(owner))
         if count + more > most:
             adding = f" and would get {more:,} more" if more > 1 else ""

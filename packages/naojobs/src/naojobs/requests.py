@@ -13,16 +13,25 @@ from naojobs.changes import W, add_event, change, lock
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, NotFoundError
 from naojobs.models import AnyWork, Checkpoint, Job, Match, PolicyRecord, PolicyVersion
-from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room, wait_for_turn
 from naojobs.states import ENDED, LEASED, OPEN, WorkState
 
 R = TypeVar("R", Job, Match)
 
 
 @contextmanager
-def _locked(sessions: Sessions, model: type[W], work_id: str) -> Iterator[tuple[Session, W]]:
-    """Lock a piece of work for a change, after which the row can be read. Raises NotFoundError."""
+def _locked(
+    sessions: Sessions, model: type[W], work_id: str, limits: Limits = NO_LIMITS, *quotas: Quota
+) -> Iterator[tuple[Session, W]]:
+    """Lock a piece of work for a change, after which the row can be read. Raises NotFoundError.
+
+    With quotas that the change will require, they come first.
+    """
     with sessions.begin() as session:
+        if quotas:
+            owner = Job.owner if model is Job else Match.owner
+            of_work = select(owner).where((Job.id if model is Job else Match.id) == work_id)
+            wait_for_turn(session, session.scalar(of_work), limits, *quotas)
         work = lock(session, model, work_id)
         if work is None:
             raise NotFoundError(f"no {model.kind} {work_id}")
@@ -103,7 +112,7 @@ def resume(sessions: Sessions, job_id: str, *, limits: Limits = NO_LIMITS) -> Jo
     Raises NotFoundError, ConflictError if the job is not paused, and QuotaError if its owner's jobs have as many rows
     as `limits` allow.
     """
-    with _locked(sessions, Job, job_id) as (session, job):
+    with _locked(sessions, Job, job_id, limits, Quota.ROWS) as (session, job):
         if job.state is WorkState.PAUSING:
             raise ConflictError(f"job {job_id} is still pausing; try again when its state is paused")
         if job.state in (WorkState.FAILED, WorkState.CANCELLED):
@@ -124,7 +133,7 @@ def retry(sessions: Sessions, model: type[R], work_id: str, *, limits: Limits = 
     Raises NotFoundError, ConflictError if it has not failed and is not cancelled, and QuotaError if its owner has as
     many open jobs as `limits` allow.
     """
-    with _locked(sessions, model, work_id) as (session, work):
+    with _locked(sessions, model, work_id, limits, Quota.OPEN_JOBS) as (session, work):
         if work.state not in (WorkState.FAILED, WorkState.CANCELLED):
             what = f"only a failed or cancelled {work.kind} can be retried"
             hint = "use resume" if work.state is WorkState.PAUSED else f"submit a new {work.kind} instead"

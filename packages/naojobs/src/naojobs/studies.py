@@ -22,7 +22,7 @@ from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
 from naojobs.ids import new_id
 from naojobs.models import Study, StudyState, Trial, TrialState
-from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room, wait_for_turn
 from naojobs.requests import cancel_open
 from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, same_request, with_parent
 from naojobs.webhooks import MessageType, publish
@@ -84,6 +84,7 @@ def submit_study(
     digest = request.digest() if idempotency_key is not None else None
     same_key = (Study.owner == owner, Study.idempotency_key == idempotency_key)
     with sessions.begin() as session:
+        wait_for_turn(session, owner, limits, Quota.STUDIES, Quota.JOBS)
         with within("job"):
             job = _with_pinned_parent(session, request.job, owner, see_all)
             for other in at_ends:
@@ -250,6 +251,8 @@ def extend_study(sessions: Sessions, study_id: str, trials: int, *, limits: Limi
     QuotaError if its owner has as many jobs as `limits` allow.
     """
     with sessions.begin() as session:
+        owner = session.scalar(select(Study.owner).where(Study.id == study_id))
+        wait_for_turn(session, owner, limits, Quota.JOBS)
         study = _locked(session, study_id)
         started = session.scalar(select(func.count()).select_from(Trial).where(Trial.study_id == study_id)) or 0
         if trials <= started:

@@ -29,7 +29,7 @@ from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
 from naojobs.ids import new_id
 from naojobs.lineage import trained_by
 from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Match, PolicyRecord, Study
-from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room, wait_for_turn
 from naojobs.states import ENDED, OPEN, WorkState
 
 J = TypeVar("J", Job, Study, Match, Evaluation)
@@ -280,6 +280,8 @@ def edit(
     ended would change, and QuotaError if the owner's notes would become longer than `limits` allow.
     """
     with sessions.begin() as session:
+        owner = session.scalar(select(Job.owner).where(Job.id == job_id))
+        wait_for_turn(session, owner, limits, Quota.NOTES, Quota.ROWS)
         job = session.get(Job, job_id, with_for_update=True)
         if job is None:
             raise NotFoundError(f"no job {job_id}")
@@ -429,6 +431,8 @@ def submit_evaluation(
     """
     digest = digest_of(request) if idempotency_key is not None else None
     with sessions.begin() as session:
+        owner = session.scalar(select(Job.owner).where(Job.id == job_id))
+        wait_for_turn(session, owner, limits, Quota.EVALUATIONS)
         job = lock(session, Job, job_id)
         if job is None:
             raise NotFoundError(f"no job {job_id}")
