@@ -332,7 +332,10 @@ def page(card: dict[str, Any]) -> str:
             f"    python -m naosprint verify {name}",
         ]
     if name in recipes.names():
-        lines += ["", "Train it again, all of the jobs above as the stages of one:", ""]
+        parent = recipes.job(name).get("parent_policy")
+        jobs = "all of the jobs above" if parent is None else "the jobs after that policy's"
+        start = "" if parent is None else f" from `{parent}`"
+        lines += ["", f"Train it again{start}, {jobs} as the stages of one:", ""]
         lines.append(f"    naoctl submit --recipe {name}")
     return "\n".join([*lines, ""])
 

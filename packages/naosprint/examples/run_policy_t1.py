@@ -15,6 +15,14 @@ NOISE_DEG = 2.0  # a symmetric policy does not run from a perfectly symmetric st
 BEAM_MODES = "BeforeKickOff", "Goal_Left", "Goal_Right"
 
 
+def model_of(path):
+    """Return the name by which the server knows the robot of an exported policy."""
+    arrays = np.load(path)
+    if "model" not in arrays:
+        raise OSError(f"{path}: not a policy of a T1 or K1")
+    return arrays["model"]
+
+
 class PolicyAgent:
     """Convert a server's messages to observations, and observations to commands."""
 
@@ -108,7 +116,7 @@ def require_start(runner, x, y):
 
 
 def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="naosprint", number=2, lane=0.0):
-    agent, monitor, side = enter(host, agent_port, monitor_port, np.load(path)["model"], team, number)
+    agent, monitor, side = enter(host, agent_port, monitor_port, model_of(path), team, number)
     runner = PolicyAgent(path, float(lane), side)
 
     def step(targets, beam=""):

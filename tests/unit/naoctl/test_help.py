@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from naoctl.cli import build_app
+from naoctl.cli import build_app, main
 from naoctl.commands.spec import complete_field, settings_by_section
 from naoctl.commands.submit import COMMON_EVALUATION_SETTINGS, COMMON_SETTINGS
 from naoctl.specflags import flag_name, training_settings
@@ -74,6 +74,19 @@ def test_nothing_is_cut_off_at_80_columns(words: tuple[str, ...]) -> None:
         if words[-1] == "--help" and not getattr(parameter, "hidden", False) and parameter.name != "help":
             for flag in getattr(parameter, "opts", ()):
                 assert flag in text or not flag.startswith("-"), flag
+
+
+@pytest.mark.parametrize("group", ["policies", "match", "team", "study", "token", "webhook", "workers", "mirror"])
+def test_a_group_shows_whole_summaries_and_its_help_without_a_command(
+    group: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    usage, *lines = help_of(group, "--help").splitlines()
+    assert "COMMAND" in usage
+    assert not [line for line in lines if line.rstrip().endswith("...")]
+    if group != "workers":  # that lists them
+        with pytest.raises(SystemExit):
+            main([group])
+        assert capsys.readouterr().err.splitlines()[0] == usage
 
 
 def terminal(*words: str, lines: int = 200, keys: bytes = b"") -> str:

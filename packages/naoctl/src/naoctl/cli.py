@@ -28,7 +28,7 @@ from naoctl.commands import (
 from naoctl.commands import stack as stack_commands
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode, plain
-from naoctl.help import CommandGroups
+from naoctl.help import CommandGroups, WholeSummaries
 from naoctl.render import terminal_json
 
 EPILOG = (
@@ -100,11 +100,19 @@ def build_app(word: str | None = None) -> typer.Typer:
 
     for module in _MODULES:
         module.register(app)
+    _show_whole_summaries(app)
     commands = [command for command in app.registered_commands if command.name == word]
     groups = [group for group in app.registered_groups if group.name == word]
     if commands or groups:
         app.registered_commands, app.registered_groups = commands, groups
     return app
+
+
+def _show_whole_summaries(app: typer.Typer) -> None:
+    for group in app.registered_groups:
+        group.cls = WholeSummaries
+        if group.typer_instance is not None:
+            _show_whole_summaries(group.typer_instance)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -126,7 +134,10 @@ def main(arguments: list[str] | None = None) -> None:
         )
         code = ExitCode.FAILURE
     except typer.TyperException as error:
-        report(usage_error(error), as_json=as_json)
+        if type(error).__name__ == "NoArgsIsHelpError":  # its text is the help
+            sys.stderr.write(f"{error.format_message()}\n")
+        else:
+            report(usage_error(error), as_json=as_json)
         code = ExitCode.USAGE
     except typer.Abort:
         report(CliError("Nothing was changed"), as_json=as_json)

@@ -30,6 +30,15 @@ GROUPS = {
 """Commands by what they are for, in the order of ``naoctl --help``."""
 
 
+class WholeSummaries(TyperGroup):
+    """Group of commands whose help cuts no summary."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, _summary(self.commands[name])) for name in self.list_commands(ctx)])
+
+
 class CommandGroups(TyperGroup):
     """Group of commands whose help lists them by purpose, with whole summaries."""
 

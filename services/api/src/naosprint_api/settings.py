@@ -39,7 +39,7 @@ class ApiSettings(ServiceSettings):
     api_max_bytes: int = Field(
         200 << 30,
         ge=1,
-        description="Bytes of one owner in the store at which no job starts; a running one may exceed them.",
+        description="Bytes of one owner in the store at which nothing more is submitted; queued work may exceed them.",
     )
     api_max_rows: int = Field(
         100_000_000, ge=1, description="The same for rows of metrics, logs and events in the database."

@@ -84,8 +84,9 @@ class Conductor:
 
     def _give_up(self, study_id: str, error: Exception) -> None:
         """End a study that cannot be advanced; it can be extended when the reason is gone."""
-        refused = isinstance(error, ValidationError)
-        why = f"it does not fit this version: {validation_words(error.errors())}" if refused else describe(error, 500)
+        why = describe(error, 500)
+        if isinstance(error, ValidationError):
+            why = f"it does not fit this version: {validation_words(error.errors())}"
         with self._sessions.begin() as session:
             running = (Study.id == study_id, Study.state == StudyState.RUNNING)
             study = session.scalar(select(Study).where(*running).with_for_update())

@@ -297,7 +297,11 @@ def league(ctx: typer.Context, owner: OwnerOption = None, as_json: JsonFlag = Fa
         numbers = [str(team[name]) for name in ("wins", "draws", "losses")]
         goals = f"{team['goals'][0]}:{team['goals'][1]}"
         table.add_row(str(place), cell(team["name"]), f"{team['rating']:.0f}", *numbers, goals)
-    context.out.print(table if found else "No games yet. Play a match with `naoctl match A B`.")
+    context.out.print(
+        table
+        if found
+        else "No games yet; those of a team against itself do not count. Play a match with `naoctl match A B`."
+    )
 
 
 @teams.command("upload")

@@ -176,12 +176,12 @@ def demo(
     robot: Annotated[str, typer.Option("--robot", help="Robot to train: nao-0, t1 or k1.")] = "nao-0",
     steps: Annotated[
         int | None,
-        typer.Option("--steps", min=1, help="Environment steps to train for.  \\[default: until it runs]"),
+        typer.Option("--steps", min=1, help="Environment steps to train for.  [default: until it runs]"),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the training.")] = 0,
     episodes: Annotated[
         int | None,
-        typer.Option("--episodes", min=1, help="Episodes of the evaluation.  \\[default: 1000; 300 for T1 and K1]"),
+        typer.Option("--episodes", min=1, help="Episodes of the evaluation.  [default: 1000; 300 for T1 and K1]"),
     ] = None,
     data_dir: DataDir = None,
     output: Annotated[

@@ -159,7 +159,8 @@ CHALLENGE_FALLS = Metric(
     "run_challenge_fall_rate",
     "Run challenge falls",
     "%",
-    "Falls by the rules of the run challenge.",
+    "Falls by the rules of the run challenge, in which a robot has fallen when its torso is below 0.25 m or tilted by "
+    "more than 53 degrees at any time.",
     1,
     "lower",
     "rate",
