@@ -290,7 +290,7 @@ def link(name: str) -> tarfile.TarInfo:
     ("data", "words"),
     [
         (b"no archive", "expected a tar archive"),
-        (gzip.compress(b"no archive"), "expected a tar archive"),
+        (gzip.compress(b"no archive", mtime=0), "expected a tar archive"),
         (packed({"player.py": ""}), "no team.json; write one such as"),
         (packed({"team.json": "{"}), "team.json"),
         (packed({"team.json": '{"command": "x"}'}), "command: expected a list of texts"),

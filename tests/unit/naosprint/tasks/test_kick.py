@@ -347,7 +347,13 @@ def test_a_walk_through_the_ball_moves_it_and_ends_upright() -> None:
     environment = environment_of(8, seed=3, aligned_fraction=1.0, rolling_fraction=0.0, watch_steps=5)
     walk(environment, 75)
     task = task_of(environment)
-    assert (task._touched >= 0).sum() >= 6
+    touched = task._touched >= 0
+    assert touched.sum() >= 6
+    launch_error_deg = task.measure(np.arange(8))[:, 1]
+    assert (launch_error_deg[touched] < 90.0).all() and (launch_error_deg[~touched] == 180.0).all()
+    task._touched[:] = -1
+    assert (task.measure(np.arange(8))[:, 1] == 180.0).all()
+    task._touched[touched] = 0
     angle, reached = task._launch[task._touched >= 0].T
     assert np.median(reached) > 0.5
     assert np.abs(np.degrees(angle)).max() < 90.0

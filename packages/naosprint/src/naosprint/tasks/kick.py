@@ -472,7 +472,8 @@ class Kick(BallTask[KickSettings]):
         asked = rolling.straight(self._scored_by[1])(rows)[:, 0]
         error = np.where(self._power[rows], 0.0, np.abs(reached / np.maximum(asked, 0.1) - 1.0))
         touched = self._touched[rows] >= 0
-        return np.stack([touched, np.degrees(np.abs(angle)), reached, error, self._fallen[rows]], axis=1)
+        angle = np.where(touched, np.abs(angle), np.pi)  # nothing is farther off than a ball that is missed
+        return np.stack([touched, np.degrees(angle), reached, error, self._fallen[rows]], axis=1)
 
     def trace_row(self, rows: IntArray) -> FloatArray:
         """Return the ball's place, whether it was touched, and the command."""

@@ -33,7 +33,7 @@ LAUNCH_ERROR = Metric(
     "launch_error_deg",
     "Launch error",
     "°",
-    "Angle between commanded and actual direction of the ball's roll.",
+    "Angle between commanded and actual direction of the ball's roll; 180 for a miss.",
     1,
     "lower",
 )
