@@ -160,6 +160,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes: "),
         (["evaluate", "nowhere", "--task", "swim"], "--task: unknown task 'swim'"),
         (["train", "x", "--resume", "nowhere"], "not a checkpoint"),
+        (["train", "x", "--resume", "t1-kick"], "--resume: t1-kick is a bundled policy, no training; start from it: "),
         (["report", "nowhere", "page"], "nowhere: no complete evaluation"),
         (["export", "nowhere", "policy"], "neither a checkpoint directory nor a bundled policy"),
         (["replay", ".", "policy"], "not a checkpoint"),

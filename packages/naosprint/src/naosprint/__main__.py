@@ -335,7 +335,15 @@ def _train(options: argparse.Namespace) -> int:
     if options.resume is not None:
         from naosprint.rl.checkpoint import read_manifest
 
+        if str(options.resume) in naopolicies.names() and not options.resume.is_dir():
+            raise ValueError(
+                f"--resume: {options.resume} is a bundled policy, no training; start from it: --from-policy"
+            )
         base = read_manifest(options.resume).spec.model_dump(mode="json")
+        fixed = {name: base[name]["name"] for name in ("robot", "task", "algorithm") if name in given}
+        if differing := [name for name, value in fixed.items() if given[name] != value]:
+            flag, value = _flag(differing[0]), fixed[differing[0]]
+            raise ValueError(f"{flag}: a training that is resumed keeps {value}; start another one: --from-policy")
     spec = TrainingSpec.model_validate(nest(given, base))
     initial_policy = None if policy is None else naopolicies.resolve(policy)
     if options.resume is None:

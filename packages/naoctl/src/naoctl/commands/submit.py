@@ -145,7 +145,11 @@ def submit(
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job; the exit code is its result.")] = False,
     key: KeyOption = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check the job and print it with the preset's values; submit nothing.")
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Check the job, but not what it starts from, and print it with the preset's values; submit nothing.",
+        ),
     ] = False,
     as_json: JsonFlag = False,
     help_all: HelpAllFlag = False,
