@@ -110,9 +110,11 @@ def build_app(word: str | None = None) -> typer.Typer:
 
 def _show_whole_summaries(app: typer.Typer) -> None:
     for group in app.registered_groups:
-        group.cls = WholeSummaries
-        if group.typer_instance is not None:
-            _show_whole_summaries(group.typer_instance)
+        if group.typer_instance is None:
+            continue
+        if not isinstance(group.typer_instance.info.cls, type):  # it has no class of its own
+            group.cls = WholeSummaries
+        _show_whole_summaries(group.typer_instance)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -13,13 +13,13 @@ from urllib.parse import quote
 import typer
 from naospec.match_results import table as results_table
 from naospec.teams import MAX_HALF_S, MAX_PLAYERS, TEAM_FILE
-from typer.core import TyperGroup
 
 from naoctl.client import Client
 from naoctl.commands.submit import KeyOption, NotBeforeOption, PriorityOption, TagOption, common_fields, hand_in
 from naoctl.context import Context, JsonFlag, context_of, find_listed
 from naoctl.errors import CliError, InvalidInput, plain
 from naoctl.follow import ENDED, result_of
+from naoctl.help import WholeSummaries
 from naoctl.render import MISSING, ago, cell, listing, pairs, size, state_text
 from naoctl.transfer import RemoteFile, fetch
 
@@ -35,7 +35,7 @@ class Filmed(StrEnum):
     ALL = "all"
 
 
-class _Group(TyperGroup):
+class _Group(WholeSummaries):
     """Group in which two teams may follow without a command: ``naoctl match A B``."""
 
     default = "play"
