@@ -12,7 +12,7 @@ import socket
 import sys
 
 import numpy as np
-from run_policy_t1 import PolicyAgent, enter, model_of, receive, require_start, send
+from run_policy_t1 import PolicyAgent, enter, receive, require_start, send
 
 START_X = -5.0
 ARRIVED_M, FASTEST_MPS, TURN_RAD_S, PATIENCE_S = 0.4, 1.5, 1.0, 60.0
@@ -116,7 +116,9 @@ def main(arguments=None):
     if options.tumble and not options.getup:
         parser.error("--tumble needs --getup, the policy that stands the robot up again")
     cycles = []
-    agent, monitor, side = enter(options.host, *options.ports, model_of(options.run), options.team, options.number)
+    agent, monitor, side = enter(
+        options.host, *options.ports, np.load(options.run).get("model"), options.team, options.number
+    )
     player = Player(options.run, side=side)
     getup = Riser(options.getup, side=side) if options.getup else None
     clock, falls, attempts = 0.0, 0, 0

@@ -15,14 +15,6 @@ NOISE_DEG = 2.0  # a symmetric policy does not run from a perfectly symmetric st
 BEAM_MODES = "BeforeKickOff", "Goal_Left", "Goal_Right"
 
 
-def model_of(path):
-    """Return the name by which the server knows the robot of an exported policy."""
-    arrays = np.load(path)
-    if "model" not in arrays:
-        raise OSError(f"{path}: not a policy of a T1 or K1")
-    return arrays["model"]
-
-
 class PolicyAgent:
     """Convert a server's messages to observations, and observations to commands."""
 
@@ -90,6 +82,8 @@ def receive(port):
 
 def enter(host, agent_port, monitor_port, model, team, number):
     """Enter the field and put the ball aside; return both connections, and 1.0 on the left side, -1.0 on the right."""
+    if model is None:
+        sys.exit("no run: the policy is not one of a T1 or K1")
     if not re.fullmatch(r"[^\s()]+", team):
         sys.exit(f"no run: team {team!r}: a name without spaces and parentheses is needed")
     monitor, agent = (socket.create_connection((host, int(port))) for port in (monitor_port, agent_port))
@@ -108,15 +102,14 @@ def require_start(runner, x, y):
     away, standing = np.hypot(*(runner.place[:2] - (x, y))), runner.place[2] > 0.6 * runner.standing_height_m
     if runner.play_mode not in BEAM_MODES or away > 0.5 or not standing:
         place, state = "({:.1f}, {:.1f})".format(*runner.place[:2]), "stands" if standing else "lies"
-        modes = ", ".join(BEAM_MODES)
         sys.exit(
             f"no run: the robot {state} at {place}, not at ({x:.1f}, {y:.1f}), in play mode {runner.play_mode}; "
-            f"it can be beamed in {modes}"
+            f"it can be beamed in {', '.join(BEAM_MODES)}"
         )
 
 
 def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="naosprint", number=2, lane=0.0):
-    agent, monitor, side = enter(host, agent_port, monitor_port, model_of(path), team, number)
+    agent, monitor, side = enter(host, agent_port, monitor_port, np.load(path).get("model"), team, number)
     runner = PolicyAgent(path, float(lane), side)
 
     def step(targets, beam=""):

@@ -152,6 +152,15 @@ def test_earlier_steps_are_what_the_agent_observed_then(tmp_path: Path) -> None:
     environment.close()
 
 
+def test_the_policy_of_another_robot_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    np.savez(tmp_path / "policy.npz", weights=np.zeros(1))
+    for program in (AGENT, AGENT.with_name("play_t1.py")):
+        done = subprocess.run(
+            [sys.executable, str(program), str(tmp_path / "policy.npz")], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (1, "no run: the policy is not one of a T1 or K1\n")
+
+
 def test_the_agent_is_short_and_needs_numpy_alone() -> None:
     """No module of the project, and only NumPy besides the standard library."""
     assert len(AGENT.read_text(encoding="utf-8").splitlines()) < 140

@@ -52,8 +52,7 @@ class Team:
 
     def digest(self) -> str:
         """Return the SHA-256 of its command and its files, whatever their folder; compiled files do not count."""
-        command = [word.replace(sys.executable, "{python}") for word in self.command]
-        digest = hashlib.sha256(json.dumps([command, sorted(self.reads), self.image]).encode())
+        digest = hashlib.sha256(json.dumps([self.command, sorted(self.reads), self.image]).encode())
         for path in sorted(self.folder.rglob("*")):
             if path.is_file() and path.parent.name != "__pycache__":
                 digest.update(json.dumps(path.relative_to(self.folder).as_posix()).encode())
