@@ -364,7 +364,7 @@ def test_owners_take_turns(sessions: Sessions, subscribe: Callable[..., Webhook]
 def test_alerts_have_places_of_their_own_and_one_owner_does_not_fill_them(
     sessions: Sessions, subscribe: Callable[..., Webhook]
 ) -> None:
-    """Each takes a process, so few are sent at a time; one that is being sent is taken by nobody meanwhile."""
+    """Each takes a process, so few are sent at a time. One that is being sent is not taken a second time."""
 
     def publish(owner: str) -> None:
         with sessions.begin() as session:

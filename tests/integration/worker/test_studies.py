@@ -67,7 +67,7 @@ def told(service: Service, study_id: str) -> list[Any]:
 def test_a_study_that_cannot_be_advanced_fails_and_keeps_no_other_from_advancing(
     service: Service, conductor: Conductor
 ) -> None:
-    """Whatever the order; and it goes on once its plug-in is back, if it is extended."""
+    """In whichever order they are advanced. When its plug-in is back, the failed study can be extended."""
     broken, whole = start(service), start(service)
     with service.sessions.begin() as session:
         row = session.get_one(Study, broken.id)

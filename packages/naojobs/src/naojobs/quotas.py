@@ -123,7 +123,7 @@ NO_LIMITS: Limits = {}
 
 
 def wait_for_turn(session: Session, owner: str | None, limits: Limits, *quotas: Quota) -> None:
-    """Wait until no other transaction uses these quotas of an owner; what locks rows first could wait for it in a ring.
+    """Wait until no other transaction uses these quotas of an owner, before rows are locked: that prevents deadlocks.
 
     Args:
         session: the database.

@@ -42,7 +42,7 @@ TAKEN_S = 60.0
 MOST_SENDING, MOST_OF_OWNER, MOST_TO_WEBHOOK = 64, 16, 8
 """Messages that one process sends at a time: in all, of one owner and to one webhook."""
 MOST_ALERTS, MOST_ALERTS_OF_OWNER = 8, 2
-"""Alerts that one process sends at a time besides, in all and of one owner: each takes a process of its own."""
+"""Alerts that one sender sends at a time besides, in all and of one owner; each alert takes a process of its own."""
 MOST_KEPT = 10_000
 """Messages that `forget` keeps for one webhook; older ones are deleted, delivered or not."""
 

@@ -210,8 +210,8 @@ class PluginSection:
             self.validate, serialization=core_schema.plain_serializer_function_ser_schema(self._dump, info_arg=True)
         )
 
-    def _dump(self, section: Any, info: SerializationInfo) -> Any:
-        """Return a section's settings by name."""
+    def _dump(self, section: Section, info: SerializationInfo) -> Any:
+        """Return what is written of a section."""
         content = section.model_dump(mode=info.mode, exclude_none=info.exclude_none, exclude_unset=self._given)
         return {"name": section.name, **content}
 

@@ -290,11 +290,13 @@ class EvaluationSpec(_Specification):
     @field_validator("task")
     @classmethod
     def _has_its_effect(cls, value: TaskSettings | None) -> TaskSettings | None:
-        """Refuse settings that only change what a training does first."""
-        fields = {} if value is None else type(value).model_fields
-        for name in fields.keys() & (set() if value is None else value.model_fields_set):
-            extra = fields[name].json_schema_extra
-            if isinstance(extra, dict) and extra.get("training_only") and getattr(value, name) != fields[name].default:
+        """Refuse settings that only change how a training begins."""
+        if value is None:
+            return None
+        for name in value.model_fields_set:
+            info = type(value).model_fields[name]
+            extra = info.json_schema_extra
+            if isinstance(extra, dict) and extra.get("training_only") and getattr(value, name) != info.default:
                 raise PydanticCustomError(
                     "training_only", "{name} has a meaning for trainings only; leave it out", {"name": name}
                 )

@@ -28,8 +28,6 @@ from naosprint.matches.commands import add_parsers
 from naosprint.matches.game import MatchError
 from naosprint.threads import quiet_openmp
 
-MAX_THREADS, MAX_FILM_S = 256, 3600.0
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -39,6 +37,8 @@ if TYPE_CHECKING:
 
 EXIT_USAGE = 2
 EXIT_FAILURE = 1
+MAX_THREADS, MAX_FILM_S = 256, 3600.0
+"""Threads of the simulator, and seconds of a film, at most."""
 
 _CHECKPOINT_HELP = "checkpoint directory, or the name of a bundled policy"
 _REPLAY_FIELDS = ("task", "seed", "simulator", "start_noise_deg")
