@@ -22,6 +22,7 @@ from naosprint.export import export_policy
 from naosprint.export.skill import TARGETS, write_skill
 from naosprint.rl.checkpoint import Manifest
 from naosprint.rl.policy import NetworkPolicy, load_policy
+from naosprint.rl.runner import train
 from naosprint.tasks import ObservationBlock
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.sprint import Sprint1
@@ -308,3 +309,20 @@ def test_a_walker_that_takes_over_faces_where_it_is_going(load: Callable[[str, s
         assert found["line_offset"] == pytest.approx(0.0, abs=1e-9)
         np.testing.assert_array_equal(skill.position, position)
     assert found[f"action_{skill.action_names[0]}"] == pytest.approx(0.1)
+
+
+def test_a_checkpoint_of_an_earlier_stage_is_exported_with_that_stages_settings(
+    make_spec: Callable[..., TrainingSpec], recorder: Any, tmp_path: Path
+) -> None:
+    """A later stage limits accelerations, and its policies observe the velocity on the way to the command."""
+    later = {"steps": 256, "task": {"forward_acceleration_mps2": 4.0}}
+    spec = make_spec(robot="t1", task="velocity", stages=[{"steps": 256}, later])
+    train(spec, workdir=tmp_path / "run", reporter=recorder)
+    limited = []
+    for step, _ in recorder.checkpoints:
+        export_policy(step, tmp_path / step.name, ["skill"])
+        (policy,) = (tmp_path / step.name).rglob("policy.npz")
+        with np.load(policy) as arrays:
+            texts = [str(array) for array in arrays.values() if array.dtype.kind == "U"]
+        limited.append(any("task.reference" in text for text in texts))
+    assert limited == sorted(limited) and set(limited) == {False, True}
