@@ -84,7 +84,6 @@ _SETTLED = 25  # steps after the touch until which a score counts
 _SCORE_M = 6.5
 _POWER_M = 8.0
 _CALM = 0.2  # share of a new velocity in that which is expected
-_DISTANCE_SPREAD = 0.35  # of the logarithm of actual to commanded roll, at which a score has fallen to 1/e
 _TRACKED = 6.0  # sights before one in which a kick is noticed, where the path is evened out
 _STREAM = 0x61C
 
@@ -447,7 +446,7 @@ class Kick(BallTask[KickSettings]):
         ratio = reached / maximum(rolling.straight(self._scored_by[1]), 0.1)
         # a kick that goes four times too far still scores, so that there is a slope towards softer ones
         off = log(maximum(ratio, 1e-3))
-        close = 0.3 * exp(-1.5 * absolute(off)) + 0.7 * _bell(off / _DISTANCE_SPREAD)
+        close = 0.3 * exp(-1.5 * absolute(off)) + 0.7 * _bell(off / self.parameters.distance_spread)
         far = minimum(reached / _POWER_M, 1.0)
         return _SCORE_M * direction * where(self.stored("power"), far, close)
 

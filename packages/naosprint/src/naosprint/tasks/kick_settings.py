@@ -132,6 +132,14 @@ class KickSettings(NearBallSettings):
         title="Placement weight",
         description="Reward for a first touch with the ball before the foot, whose yaw is that of the aim.",
     )
+    distance_spread: float = Field(
+        default=0.35,
+        ge=0.02,
+        le=2.0,
+        title="Distance spread",
+        description="Logarithm of actual to commanded roll at which the distance's score has fallen to 1/e: of 0.35, "
+        "a roll of 1.4 times the commanded one. A smaller one asks for more precise passes, once kicks are close.",
+    )
     upright_weight: float = Field(
         default=1.0, ge=0.0, le=1000.0, title="Upright weight", description="Reward for an episode that ends upright."
     )
