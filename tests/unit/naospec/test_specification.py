@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from naosim import robots
-from naospec import EvaluationSpec, TrainingSpec, plugins, presets, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, presets, recipes, validation_words
 from naospec.flat import nest, settings
 from naospec.sections import variants
 from naosprint.tasks.robot_defaults import robot_defaults
@@ -261,6 +261,50 @@ def test_a_later_stage_need_not_treat_left_and_right_alike() -> None:
     stages = [{"steps": 10}, {"steps": 10, "algorithm": {"symmetric_policy": False}}]
     spec = TrainingSpec.model_validate({"algorithm": {"preset": "fast"}, "stages": stages})
     assert [stage.algorithm.symmetric_policy for stage in spec.stage_specs] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("content", "sentences"),
+    [
+        ({"robot": "t1", "task": {"name": "velocity", "push_steps": 100, "friction_min": 1.0}}, []),
+        ({"robot": "t1", "task": {"name": "velocity", "push_steps": 50, "push_mps": 1.0}}, []),
+        ({"robot": "t1", "task": {"name": "velocity", "undisturbed_fraction": 0.5, "friction_min": 0.5}}, []),
+        (
+            {"robot": "t1", "task": {"name": "velocity", "push_steps": 50}},
+            ["task.push_steps: 50 has no effect without push_mps"],
+        ),
+        (
+            {"robot": "t1", "task": {"name": "velocity", "episode_worlds": True, "sensor_noise": 1.0}},
+            [
+                "task.episode_worlds: True has no effect without mass_variation or gain_variation or centre_of_mass_m "
+                "or friction_min or friction_max or stiffness_min or stiffness_max or gravity_min"
+            ],
+        ),
+        (
+            {"robot": "t1", "task": {"name": "getup", "start_noise_deg": 5.0}},
+            ["task.start_noise_deg: 5.0 has no effect in task getup"],
+        ),
+        (
+            {"algorithm": {"target_kl": None, "target_kl_final": 0.01, "learning_rate_schedule": "constant"}},
+            ["algorithm.target_kl_final: 0.01 has no effect without target_kl"],
+        ),
+    ],
+)
+def test_settings_that_change_nothing_are_named(content: dict[str, Any], sentences: list[str]) -> None:
+    assert TrainingSpec.model_validate(content).without_effect() == sentences
+
+
+def test_a_setting_has_an_effect_if_it_has_one_in_a_stage() -> None:
+    task = {"name": "velocity", "push_steps": 50}
+    stages: list[dict[str, Any]] = [{"steps": 1000}, {"steps": 1000, "task": {"push_mps": 1.0}}]
+    content = {"robot": "t1", "task": task, "stages": stages}
+    assert TrainingSpec.model_validate(content).without_effect() == []
+    assert TrainingSpec.model_validate(content | {"stages": stages[:1]}).without_effect()
+
+
+@pytest.mark.parametrize("name", recipes.names())
+def test_every_setting_of_a_recipe_has_an_effect(name: str) -> None:
+    assert TrainingSpec.model_validate(recipes.job(name)["spec"]).without_effect() == []
 
 
 def test_total_steps_are_the_stages_sum() -> None:

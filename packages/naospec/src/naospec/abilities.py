@@ -7,6 +7,14 @@ A field of a section states what it needs to differ from its default::
 It names an ability of simulators (``naosim.simulator.Ability``), ``perceptor NAME`` for one of the robot's perceptors,
 or :data:`DEMONSTRATIONS`. A task lists in its ``needs`` what it needs with any settings. A setting that differs from
 its default may also provide something: ``{"provides": DEMONSTRATIONS}``.
+
+A setting that another one of its section switches on states that, and a user who chooses a value while the other one is
+off is told::
+
+    push_steps: int = Field(default=100, json_schema_extra={"with": ["push_mps"]})
+
+One of them is enough. Null, zero, false and nothing are off, and so is what the other one states as ``{"off": 1.0}``.
+Settings that a plug-in inherits and has no use for are its model's ``unused``.
 """
 
 from __future__ import annotations
@@ -37,6 +45,28 @@ def need_of(setting: FieldInfo) -> str | None:
     """Return what a setting needs to differ from its default; None for nothing."""
     extra = setting.json_schema_extra
     return str(extra["needs"]) if isinstance(extra, dict) and "needs" in extra else None
+
+
+def switches_of(setting: FieldInfo) -> tuple[str, ...] | None:
+    """Return the settings one of which has to be on for this one to have an effect; None if it always has."""
+    extra = setting.json_schema_extra
+    names = extra.get("with") if isinstance(extra, dict) else None
+    return tuple(map(str, names)) if isinstance(names, list) else None
+
+
+def idle(section: Section, chosen: Iterable[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield those of the ``chosen`` settings of a section that have no effect, and what would switch them on."""
+    fields = type(section).model_fields
+    for name in chosen:
+        unused = name in type(section).unused
+        switches = () if unused else switches_of(fields[name]) if name in fields else None
+        if switches is not None and not any(_is_on(section, switch) for switch in switches if switch in fields):
+            yield name, tuple(switch for switch in switches if switch in fields)
+
+
+def _is_on(section: Section, name: str) -> bool:
+    extra, value = type(section).model_fields[name].json_schema_extra, getattr(section, name)
+    return bool(value) and not (isinstance(extra, dict) and value == extra.get("off"))
 
 
 def _by_settings(sections: Iterable[Section]) -> frozenset[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
@@ -45,6 +45,9 @@ class Section(BaseModel):
     """Base of every section's settings: frozen, without unknown fields, finite numbers only."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, protected_namespaces=())
+
+    unused: ClassVar[frozenset[str]] = frozenset()
+    """Inherited settings that have no effect here; a user who chooses a value is told."""
 
     name: str = Field(default="", title="Name", description="Which plug-in the section configures.")
 

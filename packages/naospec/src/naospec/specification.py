@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from naospec import formats, plugins, presets
-from naospec.abilities import lacking
+from naospec.abilities import idle, lacking
 from naospec.fields import DEFAULTS, TrainingFields
 from naospec.flat import settings
 from naospec.sections import PluginSection
@@ -188,6 +188,25 @@ class TrainingSpec(_Specification, TrainingFields):
                 if mine != (tuple(value) if isinstance(value, list) else value):
                     found[f"{section}.{name}"] = mine
         return found
+
+    def without_effect(self) -> list[str]:
+        """Return a sentence for each setting that differs from what it usually is and changes nothing in any stage.
+
+        Another one switches it on and is off: "task.push_steps: 50 has no effect without push_mps". It is no error:
+        pushes can be taken out of a recipe by ``push_mps`` alone.
+        """
+        used: set[str] = set()
+        unused: dict[str, str] = {}
+        for stage in self.stage_specs:
+            written = stage.written().content
+            for place in DEFAULTS:
+                section = getattr(stage, place)
+                off = dict(idle(section, written[place]))
+                used |= {f"{place}.{name}" for name in written[place] if name not in off}
+                for name, switches in off.items():
+                    without = f"without {' or '.join(switches)}" if switches else f"in {place} {section.name}"
+                    unused[f"{place}.{name}"] = f"{place}.{name}: {written[place][name]} has no effect {without}"
+        return [sentence for path, sentence in unused.items() if path not in used]
 
     def written(self) -> WrittenSpec:
         """Return what has to be written for this specification: what neither preset, task, robot nor default decide.

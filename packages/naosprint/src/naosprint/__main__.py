@@ -345,6 +345,8 @@ def _train(options: argparse.Namespace) -> int:
             flag, value = _flag(differing[0]), fixed[differing[0]]
             raise ValueError(f"{flag}: a training that is resumed keeps {value}; start another one: --from-policy")
     spec = TrainingSpec.model_validate(nest(given, base))
+    for sentence in spec.without_effect():
+        sys.stderr.write(f"warning: {sentence}\n")
     initial_policy = None if policy is None else naopolicies.resolve(policy)
     if options.resume is None:
         _require_own_folder(options.workdir, spec)

@@ -116,6 +116,16 @@ def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorde
     assert policy.act(np.zeros((1, len(manifest.observations)))).shape == (1, len(manifest.actions))
 
 
+def test_settings_that_are_said_to_have_no_effect_have_none(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    off = {"target_kl": None, "learning_rate_schedule": "constant", "normalize_observations": False}
+    off |= {"final_gamma": None, "final_log_std": None, "log_std_steps": None}
+    idle = {"target_kl_final": 1e-5, "gamma_steps": 1, "log_std_steps": 1, "observation_clip": 0.01}
+    specs = {"without": make_spec(**off), "with": make_spec(**off | idle)}
+    assert {sentence.split(":")[0] for sentence in specs["with"].without_effect()} == {f"algorithm.{n}" for n in idle}
+    without, given = (train(spec, workdir=tmp_path / n, reporter=recorder).checkpoint for n, spec in specs.items())
+    assert_same(without, given)
+
+
 def test_threads_change_nothing_in_the_simulator(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
     """The same training with one and with two simulator threads."""
     one = train(make_spec(), workdir=tmp_path / "1", reporter=recorder)

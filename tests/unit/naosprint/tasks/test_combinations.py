@@ -11,6 +11,7 @@ from naosim import kinds, robots
 from naosim.mujoco import world
 from naosim.simulator import Scene
 from naospec import TrainingSpec, plugins, specification, validation_words
+from naospec.abilities import idle
 from naospec.plugins import UnknownPluginError
 from naosprint.rl.settings import PPOSettings
 from naosprint.tasks.environment import open_environment
@@ -183,6 +184,26 @@ def test_what_is_accepted_runs_and_what_is_refused_would_not(
         with monkeypatch.context() as patch:
             patch.setattr(specification, "lacking", lambda *sections: ())
             assert runs(content) is accepted, content
+
+
+@pytest.mark.parametrize("task", plugins.names(plugins.TASKS))
+def test_what_is_said_to_have_no_effect_has_none(task: str) -> None:
+    robot = "t1" if plugins.load(plugins.TASKS, task).supports(robots.get("t1")) else "nao-0"
+    base: dict[str, Any] = {"name": task, **({"handover_states": 8} if task in ("block", "dribble", "kick") else {})}
+    model = plugins.load(plugins.TASKS, task).Parameters
+    usual = TrainingSpec(robot=robot, task=base)
+    settings = {name: other(name, model.model_fields[name], robot) for name, _ in idle(usual.task, model.model_fields)}
+    settings |= {name: True for name in settings if model.model_fields[name].annotation is bool}
+    said = {sentence.split(":")[0] for sentence in TrainingSpec(robot=robot, task=base | settings).without_effect()}
+    assert said == {f"task.{name}" for name in settings}
+    runs = []
+    for content in (base, base | settings):
+        with contextlib.closing(opened(2, robot=robot, task=content)) as environment:
+            environment.load_starts(environment.task.starts(2, 0, environment.task.parameters.start_noise_deg))
+            environment.restart(np.arange(2), np.arange(2))
+            actions = np.random.default_rng(0).normal(0.0, 0.3, (20, 2, environment.actuation.n_actions))
+            runs.append(np.array([np.column_stack([environment.step(each), environment.rewards]) for each in actions]))
+    np.testing.assert_array_equal(*runs)
 
 
 @pytest.fixture

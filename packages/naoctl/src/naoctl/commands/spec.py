@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 from naospec import EvaluationSpec, TrainingSpec, plugins, presets
-from naospec.abilities import need_of
+from naospec.abilities import need_of, switches_of
 from naospec.flat import GROUPS, Setting
 from pydantic import ValidationError
 from rich.console import Console
@@ -93,6 +93,7 @@ def describe(name: str, setting: Setting) -> dict[str, Any]:
         "bounds": limits_text(setting.info),
         "only_for": [f"{setting.path[0]} {plugin}" for plugin in setting.plugins],
         "needs": need_of(setting.info) or "",
+        "with": list(switches_of(setting.info) or ()),
         "defaults": {"": EvaluationSpec().model_dump(mode="json")[setting.name]} if evaluation else _defaults(setting),
     }
 
@@ -165,6 +166,7 @@ def _details(described: Mapping[str, Any]) -> Table:
         ("Default", default),
         ("Only for", ", ".join(described["only_for"])),
         ("Needs", described["needs"]),
+        ("Only with", " or ".join(described["with"])),
     ]
     return pairs([(title, text.replace("[", "\\[")) for title, text in rows if text])
 

@@ -179,6 +179,9 @@ def submit(
     if body.get("name") == NEWEST:
         raise InvalidInput(f"--name {NEWEST!r} refers to the newest job in commands", fix="Use another name.")
     group = make_group(body, seeds, grid or [], flags=spec)
+    if group is None:  # a sweep may vary what switches a setting on
+        for sentence in TrainingSpec.model_validate(body["spec"]).without_effect():
+            context.note(sentence)
     if checkpoint and not parent and not body.get("parent_job_id"):
         raise InvalidInput("--from-checkpoint needs the job it belongs to", fix="Add --from JOB.")
     if group and watch:

@@ -61,6 +61,7 @@ class PPOSettings(LearnerSettings):
         le=10.0,
         title="Final target KL",
         description="Target KL at the end of the training, approached linearly over total_steps; null keeps target_kl.",
+        json_schema_extra={"with": ["target_kl"]},
     )
     gamma: float = Field(
         default=_fast("gamma"), gt=0.0, le=1.0, title="Discount", description="Discount factor per step."
@@ -78,6 +79,7 @@ class PPOSettings(LearnerSettings):
         le=10_000_000_000,
         title="Discount steps",
         description="Steps after which final_gamma holds.",
+        json_schema_extra={"with": ["final_gamma"]},
     )
     gae_lambda: float = Field(
         default=_fast("gae_lambda"), ge=0.0, le=1.0, title="GAE lambda", description="Lambda of the advantage estimate."
@@ -147,6 +149,7 @@ class PPOSettings(LearnerSettings):
         le=10_000_000_000,
         title="Log-std steps",
         description="Steps after which log-std is final_log_std; null stands for total_steps.",
+        json_schema_extra={"with": ["final_log_std"]},
     )
     ema_decay: float = Field(
         default=_fast("ema_decay"),
@@ -172,6 +175,7 @@ class PPOSettings(LearnerSettings):
         le=1e6,
         title="Observation clip",
         description="Largest magnitude of a normalized observation.",
+        json_schema_extra={"with": ["normalize_observations"]},
     )
     normalize_rewards: bool = Field(
         default=_fast("normalize_rewards"),

@@ -134,7 +134,7 @@ class CommandSettings(AccelerationSettings):
         le=5.0,
         title="Error of a followed command",
         description="Error of the velocity, at the end of a command, below which the command counts as followed.",
-        json_schema_extra={"unit": "m/s"},
+        json_schema_extra={"unit": "m/s", "with": ["command_growth"]},
     )
 
     @model_validator(mode="after")

@@ -39,6 +39,19 @@ NOISE = {
 """Standard deviations at ``sensor_noise`` 1: degrees, deg/s, entries of a quaternion, metres, deg/s, m/s^2."""
 
 
+_WORLD = (
+    "mass_variation",
+    "gain_variation",
+    "centre_of_mass_m",
+    "friction_min",
+    "friction_max",
+    "stiffness_min",
+    "stiffness_max",
+    "gravity_min",
+)
+_REST = ("push_mps", "extra_delay", "extra_delay_max", "sensor_noise", "ball_noise_m")
+
+
 class DisturbanceSettings(TaskSettings):
     """Settings of tasks that can be disturbed."""
 
@@ -56,7 +69,7 @@ class DisturbanceSettings(TaskSettings):
         le=100_000,
         title="Steps between pushes",
         description="Steps between two pushes, on average.",
-        json_schema_extra={"unit": "steps"},
+        json_schema_extra={"unit": "steps", "with": ["push_mps"]},
     )
     mass_variation: float = Field(
         default=0.0,
@@ -89,7 +102,7 @@ class DisturbanceSettings(TaskSettings):
         le=3.0,
         title="Lowest friction",
         description="Lower end of the factor of the friction between robot and ground, drawn for each robot.",
-        json_schema_extra={"needs": Ability.FRICTION},
+        json_schema_extra={"needs": Ability.FRICTION, "off": 1.0},
     )
     friction_max: float = Field(
         default=1.0,
@@ -97,7 +110,7 @@ class DisturbanceSettings(TaskSettings):
         le=3.0,
         title="Highest friction",
         description="Upper end of that factor.",
-        json_schema_extra={"needs": Ability.FRICTION},
+        json_schema_extra={"needs": Ability.FRICTION, "off": 1.0},
     )
     stiffness_min: float = Field(
         default=1.0,
@@ -106,7 +119,7 @@ class DisturbanceSettings(TaskSettings):
         title="Softest contacts",
         description="Lower end of the factor of the stiffness of the robot's contacts with the ground and itself, "
         "drawn for each robot; their damping has its root as a factor.",
-        json_schema_extra={"needs": Ability.STIFFNESS},
+        json_schema_extra={"needs": Ability.STIFFNESS, "off": 1.0},
     )
     stiffness_max: float = Field(
         default=1.0,
@@ -114,7 +127,7 @@ class DisturbanceSettings(TaskSettings):
         le=4.0,
         title="Stiffest contacts",
         description="Upper end of that factor; at most 4 for a T1 and 1 for a K1, by the steps of MuJoCo.",
-        json_schema_extra={"needs": Ability.STIFFER},
+        json_schema_extra={"needs": Ability.STIFFER, "off": 1.0},
     )
     gravity_min: float = Field(
         default=1.0,
@@ -123,7 +136,7 @@ class DisturbanceSettings(TaskSettings):
         title="Lowest gravity",
         description="Gravity of the first robot as a fraction of normal gravity, rising evenly to 1 for the last. "
         "Light robots find a motion first, from which the others learn.",
-        json_schema_extra={"needs": Ability.GRAVITY},
+        json_schema_extra={"needs": Ability.GRAVITY, "off": 1.0},
     )
     extra_delay: int = Field(
         default=0,
@@ -154,6 +167,7 @@ class DisturbanceSettings(TaskSettings):
         le=0.9,
         title="Undisturbed fraction",
         description="Fraction of the robots without disturbances, so that a policy stays fast in the ideal world.",
+        json_schema_extra={"with": [*_WORLD, *_REST]},
     )
     disturbance_growth: float = Field(
         default=0.0,
@@ -163,13 +177,14 @@ class DisturbanceSettings(TaskSettings):
         description="A robot's disturbances begin without strength; every episode that does not fail adds this "
         "fraction of their full strength, and every one that fails takes it away. 0: full strength from the start. The "
         "extra delay's lower end and gravity do not grow.",
-        json_schema_extra={"training_only": True},
+        json_schema_extra={"training_only": True, "with": [*_WORLD, *_REST]},
     )
     episode_worlds: bool = Field(
         default=False,
         title="World of each episode",
         description="Whether bodies, motors, friction and stiffness are drawn for every episode, as they always are "
         "when disturbances grow; otherwise once for each robot.",
+        json_schema_extra={"with": [*_WORLD]},
     )
 
     @model_validator(mode="after")

@@ -83,6 +83,7 @@ HEIGHT = Metric("final_height_m", "Final height", "m", "Torso height at the end.
 class GetUpSettings(PenaltySettings, DisturbanceSettings):
     """Settings of the task ``getup``."""
 
+    unused = frozenset({"start_noise_deg"})  # robots lie at the start
     pose_noise_deg: float = Field(
         default=30.0,
         ge=0.0,

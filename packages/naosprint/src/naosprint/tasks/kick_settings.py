@@ -46,7 +46,7 @@ class KickSettings(NearBallSettings):
         le=1.5,
         title="Fastest ball",
         description="Largest speed of a rolling ball.",
-        json_schema_extra={"unit": "m/s"},
+        json_schema_extra={"unit": "m/s", "with": ["rolling_fraction"]},
     )
     distance_min_m: float = Field(
         default=1.5,

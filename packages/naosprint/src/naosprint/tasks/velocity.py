@@ -219,6 +219,7 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, Comma
         title="Entry fraction",
         description="Fraction of the episodes of trainings that begin with a state of the entry policies, if there are "
         "any.",
+        json_schema_extra={"with": ["entry_policies"]},
     )
 
     episode_steps: int = Field(
