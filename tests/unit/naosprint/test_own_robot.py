@@ -17,7 +17,9 @@ from naospec import EvaluationSpec, TrainingSpec, plugins
 from naosprint import evaluate, train
 from naosprint.export import FORMATS, export_policy
 from naosprint.tasks import RobotDefaults, robot_defaults
+from naosprint.tasks.environment import open_environment
 from naosprint.tasks.getup import GetUp
+from pydantic import ValidationError
 
 
 @pytest.fixture(autouse=True)
@@ -43,6 +45,44 @@ def test_a_variant_is_trained_evaluated_and_exported(robot: str, usual: str, tmp
     done = subprocess.run([sys.executable, "check.py"], cwd=check.parent, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads((tmp_path / "export" / "policy.json").read_text(encoding="utf-8"))["robot"] == robot
+
+
+T1 = robots.get("t1")
+NARROW = dataclasses.replace(
+    T1,
+    name="t1-narrow",
+    nominal_rad={**T1.nominal_rad, "head_pitch": 0.3},
+    action_range_rad={joint.name: 0.2 for joint in T1.joints if joint.actuated},
+)
+"""A variant with ranges of actions and an angle of the head of its own."""
+
+
+def test_ranges_and_pose_of_a_variant_are_those_of_its_environments(offer: Callable[..., None]) -> None:
+    offer("naosim-crouched", {plugins.ROBOTS: {"t1-narrow": f"{__name__}:NARROW"}})
+    spec = TrainingSpec.model_validate({"robot": "t1-narrow"})
+    environment = open_environment(spec, 1, threads=1)
+    actuation = environment.actuation
+    middle, reached = actuation.targets(np.stack([np.zeros(actuation.n_actions), np.ones(actuation.n_actions)]))
+    assert np.abs(reached - middle).max() == pytest.approx(0.2)
+    assert environment.world.robot.nominal[T1.joint_names.index("head_pitch")] == 0.3
+    environment.close()
+    with pytest.raises(ValidationError, match=r"robot t1-narrow: action_range_rad: 1 would have no effect.* 0\.2 rad"):
+        TrainingSpec.model_validate({"robot": {"name": "t1-narrow", "action_range_rad": 1.0}})
+
+
+def test_a_variant_with_a_misspelled_joint_is_refused_by_robot_and_field(
+    offer: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "misspelled.py").write_text(
+        "import dataclasses\nfrom naosim import robots\nt1 = robots.get('t1')\n"
+        "ROBOT = dataclasses.replace(t1, name='t1-bent', nominal_rad={**t1.nominal_rad, 'left_knee': 0.6})\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    offer("naosim-crouched", {plugins.ROBOTS: {"t1-bent": "misspelled:ROBOT"}})
+    with pytest.raises(
+        plugins.BrokenPluginError, match="robot t1-bent: nominal_rad: there is no joint 'left_knee'; its"
+    ):
+        robots.get("t1-bent")
 
 
 def test_a_variant_has_the_scripted_motions_of_its_model() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import subprocess
 import sys
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from naosim import robots
 from naosim.mujoco.world import MujocoWorld, library, world_of
 from naosim.robots import Robot
 from naosim.robots.actuation import Actuation
-from naosim.robots.booster import K1, T1
+from naosim.robots.booster import K1, T1, BoosterParameters, T1Parameters
 from pydantic import ValidationError
 
 BOTH = pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
@@ -96,6 +98,69 @@ def test_gains_by_group_kind_and_joint() -> None:
         K1.with_parameters({"kp": {"waist": 1}})
     with pytest.raises(ValidationError, match="knee_pitch must be from 0 to 2000"):
         T1.with_parameters({"kp": {"knee_pitch": -1}})
+
+
+@BOTH
+def test_a_wrong_gain_is_named_once_and_with_the_robot(robot: Robot) -> None:
+    for refuse in (
+        lambda given: robot.with_parameters({"kp": given}),
+        lambda given: type(robot.parameters).model_validate({"name": robot.name, "kp": given}),  # a specification's
+    ):
+        for given, words in (({"knee": 1}, "there is no joint 'knee'; name a group"), ({"legs": -1}, "legs must be")):
+            with pytest.raises(ValidationError) as refused:
+                refuse(given)
+            (error,) = refused.value.errors()
+            assert error["loc"] == ("kp",)
+            assert error["msg"].startswith(f"Value error, robot {robot.name}: {words}")
+
+
+@pytest.mark.parametrize(
+    ("gains", "words"),
+    [
+        ({**T1Parameters.DEFAULT_KP, "knee": 100.0}, "Soft.DEFAULT_KP: there is no joint 'knee'; name a kind of joint"),
+        ({**T1Parameters.DEFAULT_KP, "legs": 100.0}, "Soft.DEFAULT_KP: there is no joint 'legs'; name a kind of joint"),
+        ({"knee_pitch": 100.0}, "Soft.DEFAULT_KP: ankle_pitch is missing; state every kind of joint"),
+    ],
+)
+def test_default_gains_of_a_variant_are_checked(gains: dict[str, float], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        type("Soft", (T1Parameters,), {"DEFAULT_KP": MappingProxyType(gains), "__module__": __name__})()
+
+
+def test_what_a_variants_description_has_itself_is_kept() -> None:
+    """Settings fill in the rest, and one that would have no effect is refused."""
+    ranges = {joint.name: 0.2 for joint in T1.joints if joint.actuated}
+    narrow = dataclasses.replace(
+        T1, name="t1-narrow", action_range_rad=ranges, nominal_rad={**T1.nominal_rad, "head_pitch": 0.3}
+    )
+    for settings in ({}, {"action_range_rad": 0.75, "head_pitch_rad": 0.0}, {"action_range_rad": 0.2}):
+        robot = narrow.with_parameters(settings)
+        assert set(Actuation(robot).action_range_rad.tolist()) == {0.2}  # type: ignore[union-attr]
+        assert robot.nominal[T1.joint_names.index("head_pitch")] == 0.3
+        assert robot.with_parameters({}) == narrow.with_parameters({})
+    for name, value, own in (("action_range_rad", 1.0, 0.2), ("head_pitch_rad", 0.6, 0.3)):
+        with pytest.raises(
+            ValueError, match=f"robot t1-narrow: {name}: {value:g} would have no effect.* has {own} rad"
+        ):
+            narrow.with_parameters({name: value})
+    mixed = {**T1.action_range_rad, "left_knee_pitch": 0.4, "right_knee_pitch": 0.4}  # type: ignore[dict-item]
+    robot = dataclasses.replace(T1, name="t1-knees", action_range_rad=mixed).with_parameters({"head_pitch_rad": 0.6})
+    assert robot.action_range_rad == mixed and robot.nominal_rad["head_pitch"] == 0.6
+    # the settings of the robot that a variant was made of are not its own
+    wide = dataclasses.replace(T1.with_parameters({"action_range_rad": 2.0, "head_pitch_rad": 0.6}), name="t1-wide")
+    assert set(wide.with_parameters({}).action_range_rad.values()) == {0.75}  # type: ignore[union-attr]
+    assert "head_pitch" not in wide.with_parameters({}).nominal_rad
+
+
+def test_a_variant_has_the_joints_of_the_simulators_model() -> None:
+    moved = dataclasses.replace(T1, joints=tuple(dataclasses.replace(each, actuated=True) for each in T1.joints))
+    assert Actuation(moved.with_parameters({})).n_actions == 23
+    speeds = [dataclasses.replace(each, width=22) if each.width == 23 else each for each in T1.perceptors]
+    stiff = tuple(joint for joint in T1.joints if joint.name != "waist")
+    without = dataclasses.replace(T1, name="t1-stiff", joints=stiff, perceptors=tuple(speeds))
+    with pytest.raises(ValueError, match=r"robot t1-stiff: joints: the simulator's model has head_yaw, .* waist, "):
+        without.with_parameters({})
+    assert isinstance(without.parameters, BoosterParameters)
 
 
 def test_the_range_of_actions_is_a_setting() -> None:

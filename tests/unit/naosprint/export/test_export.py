@@ -81,6 +81,28 @@ def test_onnx_gives_the_actions_of_torch(checkpoint: Path, exported: Path) -> No
     assert found.std() > 1e-3
 
 
+def test_what_cannot_be_written_here_is_left_out_unless_it_is_requested(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Without the package onnx, or the simulator that records a skill's values."""
+
+    def missing(*arguments: object) -> list[Path]:
+        raise FileNotFoundError("no simulator here")
+
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    monkeypatch.setattr("naosprint.export.write_skill", missing)
+    written = export_policy(checkpoint, tmp_path, name="kick")
+    assert [path.name for path in written] == ["kick.npz", "kick.json", "kick.h", "kick_check.c"]
+    assert caplog.messages == [
+        "format onnx is left out: kick.onnx needs onnx: pip install naosprint[export]",
+        "format skill is left out: no simulator here",
+    ]
+    with pytest.raises(OSError, match=r"policy\.onnx needs onnx: pip install naosprint\[export\]"):
+        export_policy(checkpoint, tmp_path, ["onnx"])
+    with pytest.raises(FileNotFoundError, match="no simulator here"):
+        export_policy(checkpoint, tmp_path, ["skill"])
+
+
 def test_onnx_file_is_small_and_well_formed(exported: Path) -> None:
     """Names, shapes and an operator set that old runtimes support."""
     model = onnx.load(exported / "policy.onnx")

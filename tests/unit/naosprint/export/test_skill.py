@@ -24,9 +24,10 @@ from naosprint.rl.checkpoint import Manifest
 from naosprint.rl.policy import NetworkPolicy, load_policy
 from naosprint.rl.runner import train
 from naosprint.tasks import ObservationBlock
+from naosprint.tasks import observations as offered
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.sprint import Sprint1
-from naosprint.terms import sin
+from naosprint.terms import constant, given, sin, uniform
 
 
 def random_policy(robot: dict[str, Any], task: Any) -> tuple[NetworkPolicy, Manifest]:
@@ -113,6 +114,26 @@ def test_the_skill_is_the_policy(robot: dict[str, Any], task: Any, tmp_path: Pat
     assert np.ptp(vectors["observations"], axis=0).max() > 0.1
     checked = check(folder, numpy_alone)
     assert (checked.returncode, checked.stderr) == (0, ""), checked.stdout + checked.stderr
+
+
+@pytest.mark.parametrize("robot", ["t1", "k1"])
+def test_a_task_of_another_package_observes_the_ball(
+    robot: str, offer: Callable[[str], None], tmp_path: Path, numpy_alone: Path
+) -> None:
+    """The documented example: its skill is given what the camera reports, and needs it."""
+    offer("naosprint-push")
+    policy, manifest = random_policy({"name": robot, "head_pitch_rad": 0.6}, "push-ball")
+    write_skill(policy, manifest, tmp_path)
+    folder = folder_of(robot, tmp_path)
+    vectors = dict(np.load(folder / "parity.npz"))
+    assert "ball" in vectors["inputs"] and np.isfinite(vectors["ball"]).any()
+    ball = [i for i, name in enumerate(manifest.observations) if name.startswith("ball_")]
+    assert len(ball) == 5 and (np.ptp(vectors["observations"][:, ball], axis=0) > 0.01).all()
+    checked = check(folder, numpy_alone)
+    assert (checked.returncode, checked.stderr) == (0, ""), checked.stdout + checked.stderr
+    vectors["inputs"] = np.array([name for name in vectors["inputs"] if name != "ball"])
+    np.savez(folder / "parity.npz", **vectors)
+    assert check(folder, numpy_alone).returncode == 1
 
 
 @pytest.mark.parametrize("name", ["t1-sprint", "sprint", "sprint-blind"])
@@ -289,6 +310,60 @@ def test_an_expression_of_another_package_is_exported_and_a_function_is_named(
     with pytest.raises(ValueError, match=r"format skill: .* cannot compute observation gait_sin of task sprint1"):
         write_skill(*random_policy({"name": robot}, "sprint1"), tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+LACKING = {
+    "input": (
+        lambda task: offered.blocks(task.world, ["accel"]),
+        "accel_x, accel_y, accel_z of task sprint1: it has no 'perceptors.accel', only action, command, ",
+    ),
+    "given": (
+        lambda task: offered.blocks(task.world, ["yaw"]),
+        "observation yaw of task sprint1: it has no 'yaw', only action, ",
+    ),
+    "truth": (
+        lambda task: offered.blocks(task.world, ["true_height"]),
+        'observation true_height of task sprint1: it has no "the robot\'s true state", only action, ',
+    ),
+    "random numbers": (
+        lambda task: [ObservationBlock(("drawn",), uniform(0, constant(0.0), task.world.step, 1))],
+        "the observations of task sprint1: it has no 'uniform', only action, ",
+    ),
+    "another value": (
+        lambda task: [ObservationBlock(("twice",), given("steps", 2.0 * task.world.step))],
+        "observation twice of task sprint1: in cycle 2 it differs from the training's; use another format",
+    ),
+}
+"""What a T1 observes besides, and what the error says."""
+
+
+@pytest.mark.parametrize("what", LACKING)
+def test_the_error_names_what_the_skill_lacks(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (added, words), usual = LACKING[what], Sprint1.observation_blocks
+    monkeypatch.setattr(Sprint1, "observation_blocks", lambda task: [*usual(task), *added(task)])
+    with pytest.raises(
+        ValueError, match=r"use another format, or observe expressions .* of what the skill has"
+    ) as seen:
+        write_skill(*random_policy({"name": "t1"}, "sprint1"), tmp_path)
+    assert words in str(seen.value) and not any(tmp_path.iterdir())
+
+
+def test_a_robot_without_a_skill_before_it_enters_at_rest(
+    tmp_path: Path, numpy_alone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual, rest = Sprint1.observation_blocks, given("entry_velocity", constant([0.0, 0.0, 0.0]))
+    entered = ObservationBlock(("entry_x", "entry_y", "entry_z"), rest)
+    monkeypatch.setattr(Sprint1, "observation_blocks", lambda task: [*usual(task), entered])
+    files = write_skill(*random_policy({"name": "t1"}, "sprint1"), tmp_path)
+    assert check(files[0].parent, numpy_alone).returncode == 0
+
+
+def test_commands_of_a_task_are_those_that_the_skill_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Sprint1, "command", property(lambda task: np.zeros((task.n, 2))), raising=False)
+    assert write_skill(*random_policy({"name": "t1"}, "sprint1"), tmp_path / "t1"), "something else of the same name"
+    monkeypatch.setattr(Sprint1, "command", property(lambda task: np.zeros((task.n, 3))))
+    with pytest.raises(ValueError, match="format skill: the team code's skill does not take command of task sprint1"):
+        write_skill(*random_policy({"name": "nao-0"}, "sprint1"), tmp_path / "nao")
 
 
 def test_a_walker_that_takes_over_faces_where_it_is_going(load: Callable[[str, str], Any]) -> None:

@@ -343,6 +343,9 @@ def run_naosprint(*words: str) -> str:
     if done.returncode:
         last = done.stderr.strip().splitlines()
         raise CliError(f"naosprint {words[0]} failed: {last[-1] if last else f'exit code {done.returncode}'}")
+    for line in done.stderr.splitlines():
+        if line.startswith("warning: "):
+            sys.stderr.write(f"{line}\n")
     return done.stdout
 
 

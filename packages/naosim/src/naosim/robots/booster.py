@@ -6,22 +6,24 @@ repeated here so that robots can be listed and specifications validated where Mu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import ClassVar
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from naosim.fields import RCSSSERVERMJ
 from naosim.robots.description import (
     CameraMount,
+    FilledIn,
     JointDescription,
     PerceptorDescription,
     Robot,
     RobotParameters,
     Shape,
     Side,
+    described,
 )
 
 FAMILY = "booster"
@@ -128,38 +130,71 @@ class BoosterParameters(RobotParameters):
     )
 
     def applied(self, robot: Robot) -> Robot:
-        """Return the robot with its range of actions, and the nominal pose with the head's angle."""
-        names = (joint.name for joint in robot.joints if joint.actuated)
-        pose = {name: angle for name, angle in robot.nominal_rad.items() if name != "head_pitch"}
-        pose |= {"head_pitch": self.head_pitch_rad} if self.head_pitch_rad else {}
-        reach = MappingProxyType(dict.fromkeys(names, self.action_range_rad))
-        return replace(robot, action_range_rad=reach, nominal_rad=MappingProxyType(pose))
+        """Return the robot with range of actions and angle of the head where its description leaves them open.
+
+        A description that has its own is kept; a setting other than the default is then refused.
+
+        Raises:
+            ValueError: if such a setting is refused, or the joints are not those of the simulator's model.
+        """
+        expected = tuple(joint.name for joint in _joints(self.JOINTS))
+        if robot.joint_names != expected:
+            raise ValueError(
+                f"robot {robot.name}: joints: the simulator's model has {', '.join(expected)}; keep all of them in "
+                "this order, and hold one still with actuated=False"
+            )
+        names = [joint.name for joint in robot.joints if joint.actuated]
+        reach, pose = described(robot.action_range_rad), described(robot.nominal_rad) or {}
+        if reach is None:
+            reach = FilledIn(None, dict.fromkeys(names, self.action_range_rad))
+        else:
+            self._require_unchosen(robot, "action_range_rad", {reach[name] for name in names})
+        if not pose.get("head_pitch"):
+            pose = FilledIn(pose, {"head_pitch": self.head_pitch_rad} if self.head_pitch_rad else {})
+        else:
+            self._require_unchosen(robot, "head_pitch_rad", {pose["head_pitch"]})
+        return replace(robot, action_range_rad=reach, nominal_rad=pose)
+
+    def _require_unchosen(self, robot: Robot, name: str, own: Collection[float]) -> None:
+        """Refuse a value of a setting that the robot's own angles would leave without effect."""
+        chosen, usual = getattr(self, name), type(self).model_fields[name].default
+        if chosen != usual and {chosen} != set(own):
+            angles = ", ".join(f"{angle:g}" for angle in sorted(own))
+            raise ValueError(
+                f"robot {robot.name}: {name}: {chosen:g} would have no effect, since the robot's description has "
+                f"{angles} rad; leave {name} out"
+            )
 
     @field_validator("kp")
     @classmethod
-    def _complete_kp(cls, value: Mapping[str, float]) -> Mapping[str, float]:
-        return cls._complete("kp", value, cls.DEFAULT_KP, 2000.0)
+    def _complete_kp(cls, value: Mapping[str, float], info: ValidationInfo) -> Mapping[str, float]:
+        return cls._complete(value, info, "DEFAULT_KP", 2000.0)
 
     @field_validator("kd")
     @classmethod
-    def _complete_kd(cls, value: Mapping[str, float]) -> Mapping[str, float]:
-        return cls._complete("kd", value, cls.DEFAULT_KD, 100.0)
+    def _complete_kd(cls, value: Mapping[str, float], info: ValidationInfo) -> Mapping[str, float]:
+        return cls._complete(value, info, "DEFAULT_KD", 100.0)
 
     @classmethod
-    def _complete(
-        cls, name: str, given: Mapping[str, float], defaults: Mapping[str, float], most: float
-    ) -> dict[str, float]:
+    def _complete(cls, given: Mapping[str, float], info: ValidationInfo, usual: str, most: float) -> dict[str, float]:
         """Return gains by kind of joint, followed by those of single joints where these differ."""
         joints = [joint.name for joint in _joints(cls.JOINTS)]
-        unknown = set(given) - set(GROUPS) - set(cls.JOINTS) - set(joints)
-        if unknown:
+        defaults: Mapping[str, float] = getattr(cls, usual)
+        choices = f"a kind of joint ({', '.join(cls.JOINTS)}) or one joint ({joints[0]}, left_hip_pitch, ...)"
+        if wrong := set(defaults) - set(cls.JOINTS) - set(joints):
+            raise ValueError(f"{cls.__name__}.{usual}: there is no joint {min(wrong)!r}; name {choices}")
+        if missing := set(cls.JOINTS) - set(defaults):
+            raise ValueError(f"{cls.__name__}.{usual}: {min(missing)} is missing; state every kind of joint")
+        # a specification's section has the robot's name, other settings are validated for a robot
+        name = info.data.get("name") or (info.context or {}).get("robot")
+        owner = f"robot {name}: " if name else ""
+        if unknown := set(given) - set(GROUPS) - set(cls.JOINTS) - set(joints):
             raise ValueError(
-                f"{name}: there is no joint {min(unknown)!r}; name a group ({', '.join(GROUPS)}), a kind of joint "
-                f"({', '.join(cls.JOINTS)}) or one joint ({joints[0]}, left_hip_pitch, ...)"
+                f"{owner}there is no joint {min(unknown)!r}; name a group ({', '.join(GROUPS)}), {choices}"
             )
         for key, gain in given.items():
             if not 0.0 <= gain <= most:
-                raise ValueError(f"{name}: {key} must be from 0 to {most:g}, not {gain:g}")
+                raise ValueError(f"{owner}{key} must be from 0 to {most:g}, not {gain:g}")
         gains = dict(defaults)
         for group, kinds in GROUPS.items():
             if group in given:

@@ -10,6 +10,7 @@ mujococodebase/ or FCPCodebase/  a skill for that team code, with recorded value
 from __future__ import annotations
 
 import keyword
+import logging
 import re
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ from naosprint.export.skill import TARGETS, write_skill
 from naosprint.rl.policy import NetworkPolicy, load_policy
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
 __all__ = ["FORMATS", "build_check", "build_header", "build_onnx", "describe", "export_policy", "policy_arrays"]
@@ -32,25 +33,37 @@ __all__ = ["FORMATS", "build_check", "build_header", "build_onnx", "describe", "
 FORMATS = ("numpy", "onnx", "c", "skill")
 """Formats of an exported policy."""
 
+logger = logging.getLogger(__name__)
+
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
 def export_policy(
-    checkpoint: Path, directory: Path, formats: Sequence[str] | None = None, name: str = DEFAULT_NAME
+    checkpoint: Path,
+    directory: Path,
+    formats: Sequence[str] | None = None,
+    name: str = DEFAULT_NAME,
+    *,
+    warn: Callable[[str], None] = logger.warning,
 ) -> tuple[Path, ...]:
     """Write the policy of a checkpoint to ``directory`` in some of :data:`FORMATS`, and ``policy.json``.
 
-    By default these are all that its robot has. ``name`` is that of the files, of all that ``policy.h`` defines and of
-    the skill, so that several policies can be part of one program or team.
+    Args:
+        checkpoint: the checkpoint.
+        directory: where the files are written.
+        formats: the formats; by default all that its robot has, of which those that cannot be written are left out.
+        name: name of the files, of all that ``policy.h`` defines and of the skill, so that several policies can be part
+            of one program or team.
+        warn: called with a sentence about each format that is left out.
 
     Returns:
         The paths of the files, which are replaced if they exist.
 
     Raises:
         CheckpointError: if the checkpoint is damaged.
-        OSError: if onnx is needed and not installed.
-        ValueError: if the policy is not a network, or a skill is requested and there is none for the robot, or
-            ``name`` is not one that C and Python accept.
+        OSError: if onnx is requested and not installed.
+        ValueError: if the policy is not a network, or a skill is requested and there is none for the robot or what the
+            policy observes, or ``name`` is not one that C and Python accept.
     """
     if not _NAME.fullmatch(name) or keyword.iskeyword(name):
         raise ValueError(
@@ -63,14 +76,19 @@ def export_policy(
             f"algorithm {manifest.stage_spec.algorithm.name}: its policies are {type(policy).__name__}, and only a "
             "naosprint.rl.policy.NetworkPolicy can be exported"
         )
+    requested = formats is not None
     if formats is None:
         family = manifest.stage_spec.family
-        formats = [name for name in FORMATS if name != "skill" or family in TARGETS]
+        formats = [each for each in FORMATS if each != "skill" or family in TARGETS]
     if "onnx" in formats:
         try:
             import onnx
         except ImportError as error:
-            raise OSError("policy.onnx needs onnx: pip install naosprint[export]") from error
+            missing = f"{name}.onnx needs onnx: pip install naosprint[export]"
+            if requested:
+                raise OSError(missing) from error
+            warn(f"format onnx is left out: {missing}")
+            formats = [each for each in formats if each != "onnx"]
     directory.mkdir(parents=True, exist_ok=True)
     written = []
     if "numpy" in formats:
@@ -86,5 +104,10 @@ def export_policy(
         written.append(directory / file)
         written[-1].write_text(text, encoding="utf-8")
     if "skill" in formats:
-        written += write_skill(policy, manifest, directory, name)
+        try:
+            written += write_skill(policy, manifest, directory, name)
+        except (FileNotFoundError, ValueError) as error:  # the simulator that records the values may be missing
+            if requested:
+                raise
+            warn(f"format skill is left out: {str(error).removeprefix('format skill: ')}")
     return tuple(written)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import json
 import sys
 import tempfile
@@ -22,7 +23,7 @@ from naosprint.tasks.measurements import StoredNumbers
 from naosprint.terms.description import Description
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from naosprint.arrays import AnyArray, FloatArray
     from naosprint.rl.checkpoint import Manifest
@@ -138,29 +139,43 @@ def _require_computable(
     manifest: Manifest,
     description: Description,
 ) -> None:
-    """Compare what the skill's own code observes with the recorded observations of the first cycle.
+    """Compare what the skill's own code observes with the recorded observations, cycle by cycle, as its check does.
 
     Raises:
-        ValueError: naming the observations that it cannot compute.
+        ValueError: naming the observations that it cannot compute, and why.
     """
     task, names = manifest.stage_spec.task.name, manifest.observations
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "policy.npz", allow_pickle=False, **arrays)
         runner = _module(sources / "runner.py").Runner(Path(folder) / "policy.npz")
+    for method, given in ((runner.begin, recorded["begin"]), (runner.observe, recorded["inputs"])):
+        if unknown := [str(name) for name in given if str(name) not in inspect.signature(method).parameters]:
+            raise ValueError(
+                f"format skill: the team code's skill does not take {', '.join(unknown)} of task {task}; use another "
+                "format"
+            )
     runner.begin(**{str(name): recorded[f"begin_{name}"] for name in recorded["begin"]})
-    unknown: list[str] = []
-    try:
-        seen = runner.observe(**{str(name): recorded[str(name)][0] for name in recorded["inputs"]})
-    except KeyError as error:
-        unknown = description.observed_by(str(error.args[0]))
-    else:
-        differing = np.abs(seen - recorded["observations"][0]) > _SAME
-        unknown = [name for name, differs in zip(names, differing, strict=True) if differs]
-    if unknown:
-        raise ValueError(
-            f"format skill: the team code's skill cannot compute observation {', '.join(unknown[:8])} of task {task}; "
-            "use another format, or observe only what naosprint.tasks.observations offers"
-        )
+    for cycle, expected in enumerate(recorded["observations"]):
+        try:
+            seen = runner.observe(**{str(name): recorded[str(name)][cycle] for name in recorded["inputs"]})
+        except (KeyError, AttributeError) as error:  # an input, or a function that only trainings have
+            missing = str(error.args[0] if isinstance(error, KeyError) else error.name)
+            reason = f"it has no {missing!r}, only {', '.join(sorted(runner.observations.inputs))}"
+            raise _uncomputable(task, description.observed_by(missing), reason) from error
+        differing = ~(np.abs(seen - expected) <= _SAME)  # NaN included
+        if differing.any():
+            unknown = [name for name, differs in zip(names, differing, strict=True) if differs]
+            raise _uncomputable(task, unknown, f"in cycle {cycle + 1} it differs from the training's")
+        runner.act(seen)
+
+
+def _uncomputable(task: str, observations: Sequence[str], reason: str) -> ValueError:
+    """Return the error of a policy that observes what its skill cannot compute."""
+    what = f"observation {', '.join(observations[:8])}" if observations else "the observations"
+    return ValueError(
+        f"format skill: the team code's skill cannot compute {what} of task {task}: {reason}; use another format, or "
+        "observe expressions (naosprint.terms) of what the skill has"
+    )
 
 
 def _module(path: Path) -> Any:
@@ -245,9 +260,9 @@ def _description(environment: Environment) -> Description:
 
 
 def _commands(environment: Environment) -> AnyArray | None:
-    """Return the array of the robots' commands; None if the task has none."""
-    commands: AnyArray | None = getattr(environment.task, "command", None)
-    return commands
+    """Return the array of the robots' commands, each forward, sideways and turn; None if the task has none."""
+    commands = getattr(environment.task, "command", None)
+    return commands if isinstance(commands, np.ndarray) and commands.shape[1:] == (3,) else None
 
 
 def _begin(environment: Environment) -> dict[str, AnyArray]:

@@ -93,9 +93,8 @@ class Runner:
         position (3,) in metres and quaternion (w, x, y, z) of the torso on the team's field, gyroscope (3,) in degrees
         per second, joints' angles and speeds in degrees and degrees per second in the order of `joint_names`. A policy
         of task velocity follows `command`: forward and sideways speed in m/s, turn rate in rad/s; a new one starts a
-        new path. Those of tasks kick, dribble and block need the `ball` as it is seen: distance in metres, azimuth and
-        elevation in degrees from the camera; None or NaN where it is not reported. A new `target` of a dribble begins a
-        new line.
+        new path. One that observes the ball needs the `ball` as it is seen: distance in metres, azimuth and elevation
+        in degrees from the camera; None or NaN where it is not reported. A new `target` of a dribble begins a new line.
         """
         position, (w, x, y, z) = np.array(position, float), quaternion
         cross = np.cross(np.eye(3), (x, y, z))
@@ -118,9 +117,10 @@ class Runner:
                 "perceptors.gyro": gyro_deg,
                 "perceptors.joint_angles": angles_deg,
                 "perceptors.joint_speeds": speeds_deg,
+                "perceptors.ball": np.full(3, np.nan) if ball is None else ball,
             },
             **{"steps": self.cycles, "action": self.action},
-            **{"command": self.command, "new_command": fresh},
+            **{"command": self.command, "new_command": fresh, "entry_velocity": np.zeros(3)},
         }
         if self.aimed:
             if self.dribbles:
@@ -128,8 +128,7 @@ class Runner:
             elif self.keeps:
                 self.target = position[:2] - (GOAL_BEHIND_M, 0.0) if self.target is None else self.target
                 inputs["goal"] = self._along(np.array(self.target, float))
-            inputs.update(self.aimed, entry_velocity=np.zeros(3))
-            inputs["perceptors.ball"] = np.full(3, np.nan) if ball is None else ball
+            inputs.update(self.aimed)
         self.cycles += 1
         return self.observations.observe(inputs)
 

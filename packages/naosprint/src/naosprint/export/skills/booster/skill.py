@@ -25,11 +25,11 @@ class Naosprint(Skill):
         metres; by default the robot runs ahead from where it is. `command` is forward and sideways speed in m/s and
         turn rate in rad/s, for a policy that follows them.
 
-        A kick has a `target`, (direction on the team's field in radians, distance in metres or infinity), and needs
-        the `ball` as it is seen in this cycle: (distance in metres, azimuth, elevation in degrees), or None. `after` is
-        the skill whose last step it continues. Once `kicked`, the walking skill has to continue after it, with the
-        command (0, 0, 0). A dribble takes the same, with a `target` of direction and speed in m/s in each cycle; a
-        keeper (block) the middle of its goal's line, (x, y) in metres.
+        A policy that observes the ball needs the `ball` as it is seen in this cycle: (distance in metres, azimuth,
+        elevation in degrees), or None. A kick has a `target`, (direction on the team's field in radians, distance in
+        metres or infinity); `after` is the skill whose last step it continues. Once `kicked`, the walking skill has to
+        continue after it, with the command (0, 0, 0). A dribble takes the same, with a `target` of direction and speed
+        in m/s in each cycle; a keeper (block) the middle of its goal's line, (x, y) in metres.
         """
         robot, position = self.agent.robot, self.agent.world.global_position
         if reset:
