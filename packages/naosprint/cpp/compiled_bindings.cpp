@@ -208,7 +208,7 @@ class RunningMoments {
   RunningMoments(const Doubles& mean, const Doubles& variance, const Doubles& count, const std::optional<Index>& index,
                  const std::optional<Inputs>& sign, std::uint64_t threads)
       : arrays_{mean, variance, count}, index_(index), sign_(sign), threads_(threads) {
-    require(mean.size() == variance.size() && count.size() == 1, "moments: wrong shape");
+    require(mean.size() == variance.size() && mean.size() == count.size(), "moments: wrong shape");
     moments_ = {mean.data(), variance.data(), count.data(), static_cast<int>(mean.size())};
     require(index.has_value() == sign.has_value() && (!index || (index->size() == mean.size() && sign->size() == mean.size())),
             "mirror: wrong shape");

@@ -60,13 +60,13 @@ NAOSPRINT_WIDE bool standardize_rows(const double* samples, const double* mean, 
 }
 
 void merge_moments(const Moments& moments, const double* mean, const double* squares, double k) {
-  const double count = *moments.count, total = count + k;
   for (int j = 0; j < moments.width; ++j) {
+    const double count = moments.count[j], total = count + k;
     const double delta = mean[j] - moments.mean[j];
     moments.mean[j] = moments.mean[j] + delta * (k / total);
     moments.variance[j] = (moments.variance[j] * count + squares[j] + delta * delta * (count * k / total)) / total;
+    moments.count[j] = total;
   }
-  *moments.count = total;
 }
 
 // numpy.einsum("ij,ij->j", values, values) of one column: two sums, four times two values at a time, from the last to the first.

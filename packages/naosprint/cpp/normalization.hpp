@@ -5,7 +5,7 @@
 
 namespace naosprint {
 
-// Mean and variance of a stream of samples of `width` numbers, and their number.
+// Mean and variance of a stream of samples of `width` numbers, and how many samples each of these has.
 struct Moments {
   double *mean, *variance, *count;
   int width;

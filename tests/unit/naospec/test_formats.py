@@ -148,11 +148,11 @@ def test_a_newer_format_is_one_sentence(kind: Kind) -> None:
 
 def test_a_format_without_conversion_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
-        formats.FormatError, match=r"^format 1 of this checkpoint is too old: this version reads formats 2 to 4$"
+        formats.FormatError, match=r"^format 1 of this checkpoint is too old: this version reads formats 2 to 5$"
     ):
         formats.current(Kind.CHECKPOINT, {"format": 1})
     raise_number(monkeypatch, Kind.CHECKPOINT, dict)
-    with pytest.raises(formats.FormatError, match=r"reads formats 2 to 5$"):
+    with pytest.raises(formats.FormatError, match=r"reads formats 2 to 6$"):
         formats.current(Kind.CHECKPOINT, {"format": 1})
 
 
@@ -167,7 +167,7 @@ def test_a_checkpoint_of_the_format_before_is_read(tmp_path: Path, monkeypatch: 
 
     policy = next((ROOT / "packages/naopolicies/src").rglob("sprint-hour/checkpoint.json"))
     number = formats.CURRENT[Kind.CHECKPOINT]
-    document = json.loads(policy.read_text(encoding="utf-8"))
+    document = formats.current(Kind.CHECKPOINT, json.loads(policy.read_text(encoding="utf-8")))
     assert document["format"] == number
     expected = read_manifest(policy.parent)
     document["rounds"] = document.pop("updates")

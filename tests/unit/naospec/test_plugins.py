@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from naospec import TrainingSpec, plugins, validation_words
+from naospec.flat import GROUPS, settings
 from naosprint.tasks import Task
 from pydantic import BaseModel, ValidationError
 
@@ -40,9 +41,11 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[EntryPoint]]:
     )
     plugins._entries.cache_clear()
     plugins._load.cache_clear()
+    plugins.leave_out.cache_clear()
     yield extra
     plugins._entries.cache_clear()
     plugins._load.cache_clear()
+    plugins.leave_out.cache_clear()
 
 
 def entry(name: str, value: str) -> EntryPoint:
@@ -66,7 +69,8 @@ def test_groups_have_what_this_project_offers() -> None:
 
 def test_unknown_names_list_the_known() -> None:
     with pytest.raises(
-        plugins.UnknownPluginError, match=r"unknown task 'swim': choose one of .*sprint1, sprint1-erect"
+        plugins.UnknownPluginError,
+        match=r"unknown task 'swim': choose one of .*sprint1, sprint1-erect.*, or install the package that offers it",
     ):
         plugins.load(plugins.TASKS, "swim")
 
@@ -105,16 +109,65 @@ def test_a_package_that_cannot_be_imported_is_named(offered: list[EntryPoint]) -
         plugins.load(plugins.TASKS, "swim")
 
 
-def test_a_name_that_is_offered_twice_is_refused(offered: list[EntryPoint]) -> None:
+def test_a_name_that_is_offered_twice_is_refused_with_both_packages(offered: list[EntryPoint]) -> None:
+    """Nothing else of the group is."""
     offered.append(entry("sprint1", "elsewhere:Sprint"))
-    with pytest.raises(plugins.BrokenPluginError, match=r"'sprint1' is offered twice, as .* and elsewhere:Sprint"):
-        plugins.names(plugins.TASKS)
+    assert plugins.names(plugins.TASKS).count("sprint1") == 1
+    words = r"sprint1: package naosprint as .* and package elsewhere:Sprint as elsewhere:Sprint offer the same task; un"
+    with pytest.raises(plugins.BrokenPluginError, match=words):
+        plugins.load(plugins.TASKS, "sprint1")
+    assert plugins.load(plugins.TASKS, "sprint2").name == "sprint2"
+    assert plugins.find(plugins.TASKS, "sprint1") is None and plugins.find(plugins.TASKS, "swim") is None
+
+
+def test_broken_plugins_are_left_out_and_named_once(broken: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Specifications, schemas and flags have all others."""
+    schemas = [TrainingSpec.model_json_schema()["properties"] for _ in range(2)]
+    for section, group in GROUPS.items():
+        offered = {option["properties"]["name"]["const"] for option in schemas[1][section]["oneOf"]}
+        known = settings()[section].choices
+        assert offered == set(known) == set(plugins.names(group)) - {"sinks", "dives", "drifts", "limps"}
+    assert settings()["reward_scale"].plugins == ()
+    assert TrainingSpec(task="sprint1").task.name == "sprint1"
+    told = [message.partition(": which")[0] for message in caplog.messages]
+    for words in (
+        "left out: sinks: package sinking offers it as sinking:sinks, which cannot be used: no water",
+        "left out: limps: package lame offers it as lame:limps, which cannot be used: 3",
+        "left out: drifts with robot t1: KeyError: 'depth'",
+    ):
+        assert told.count(words) == 1
+    (doubled,) = (message for message in told if message.startswith("left out: dives: "))
+    assert "package first-divers as " in doubled and "package second-divers as " in doubled
+    with pytest.raises(plugins.BrokenPluginError, match="sinks: package sinking offers it"):
+        TrainingSpec(task="sinks")
+
+
+def test_refusals_name_what_can_be_used_without_broken_plugins(broken: Path) -> None:
+    for content, words in (
+        (
+            {"robot": "t1", "task": {"name": "sprint1", "push_mps": 1.0}, "simulator": "server"},
+            "use simulator embedded",
+        ),
+        ({"robot": "nao-0", "task": "getup"}, "use another task, or one of the robots k1, t1"),
+    ):
+        assert words in words_of(content)
 
 
 def test_the_same_entry_twice_is_one(offered: list[EntryPoint]) -> None:
     """As after an editable installation beside an old one."""
     offered.append(entry("sprint1", "naosprint.tasks.sprint:Sprint1"))
     assert plugins.names(plugins.TASKS).count("sprint1") == 1
+
+
+def test_a_task_and_an_algorithm_do_not_report_the_same_metric(install: Callable[..., None]) -> None:
+    """A training's row has one value for each name, and both would be shown as the other's."""
+    code = (
+        "from naosprint.tasks import Metric, Task\n\n\nclass learns(Task):\n    name = summary = 'learns'\n"
+        "    metrics = (Metric('learning_rate', 'Rate'),)\n"
+    )
+    install("learning", code, {"learns": plugins.TASKS})
+    words = "task learns and algorithm ppo both have a metric learning_rate"
+    assert words in words_of({"task": "learns"})
 
 
 def test_settings_must_be_a_section(offered: list[EntryPoint]) -> None:
@@ -133,6 +186,7 @@ from naosim import kinds, robots
 from naosim.robots import RobotParameters
 from naosim.simulator import Simulator, SimulatorKind
 from naospec import LearnerSettings, TaskSettings, TrainingSpec, plugins
+from naospec.metrics import Metric
 from naosprint import tasks
 from naosprint.arrays import AnyArray, IntArray
 from naosprint.rl.learner import LearnerKind, learner_kind
@@ -144,6 +198,8 @@ class Swim(Task):
     name = "toy"
     summary = "Swim."
 """
+
+REWARD, STEP, DEPTH = (f"Metric({name!r}, 'Depth')" for name in ("reward", "step", "depth"))
 
 
 @pytest.mark.parametrize(
@@ -160,6 +216,21 @@ class Swim(Task):
             "toy.supports must be a class",
         ),
         (plugins.TASKS, "class toy(Swim):\n measure = 3", "toy.measure must be a function, not int"),
+        (plugins.TASKS, f"class toy(Swim):\n metrics = ({REWARD},)", "toy.metrics: every training reports 'reward'"),
+        (plugins.TASKS, f"class toy(Swim):\n results = ({REWARD},)", "toy.results: every training reports 'reward'"),
+        (plugins.TASKS, f"class toy(Swim):\n metrics = ({STEP},)", "toy.metrics: every training reports 'step'"),
+        (plugins.TASKS, f"class toy(Swim):\n metrics = ({DEPTH}, {DEPTH})", "toy.metrics: 'depth' is given twice"),
+        (plugins.TASKS, f"class toy(Swim):\n results = ({DEPTH}, {DEPTH})", "toy.results: 'depth' is given twice"),
+        (
+            plugins.TASKS,
+            f"class toy(Swim):\n metrics = ({DEPTH},)\n results = ({DEPTH},)",
+            "toy.results: 'depth' is given twice",
+        ),
+        (
+            plugins.LEARNERS,
+            f"class Kind(type(learner_kind('ppo'))):\n name = 'toy'\n metrics = ({REWARD},)\ntoy = Kind()",
+            "Kind.metrics: every training reports 'reward'",
+        ),
         (plugins.ROBOTS, "toy = 'nao-0'", "an instance of naosim.robots.Robot, not str"),
         (plugins.ROBOTS, "toy = robots.get('nao-0')", "Robot.name is 'nao-0'"),
         (

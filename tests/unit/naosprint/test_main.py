@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from naospec import EvaluationSpec
-from naospec.flat import settings
-from naosprint.__main__ import main
+from naospec import EvaluationSpec, plugins
+from naospec.flat import OPTIONS, settings
+from naosprint.__main__ import _parser, main
 from naosprint.rl.checkpoint import read_manifest
 
 SMALL = [
@@ -31,6 +31,51 @@ def test_help_lists_every_setting(capsys: pytest.CaptureFixture[str]) -> None:
         text = capsys.readouterr().out
         for name in names:
             assert f"--{name.replace('_', '-')} VALUE" in text
+
+
+def test_settings_of_plugins_take_no_option_of_the_command() -> None:
+    """The other commands have no settings of plug-ins."""
+    (commands,) = (action for action in _parser()._actions if isinstance(action.choices, dict))
+    assert isinstance(commands.choices, dict)
+    train = commands.choices["train"]
+    own = [action for action in train._actions if not action.dest.startswith("setting_")]
+    words = {word.lstrip("-").replace("-", "_") for action in own for word in (*action.option_strings, action.dest)}
+    assert {word for word in words if len(word) > 1} <= OPTIONS
+
+
+def test_broken_plugins_of_others_stop_no_command(broken: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["train", "--help"])
+    assert ended.value.code == 0 and "--learning-rate" in capsys.readouterr().out
+    assert main(["evaluate", "sprint", "--episodes", "1", "--bootstrap-resamples", "100"]) == 0
+    assert "sprint" in capsys.readouterr().out
+    for name, words in (("sinks", "no water"), ("dives", "uninstall all but one")):
+        assert main(["train", "nowhere", "--task", name]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"error: {name}: package ") and words in line
+
+
+def test_broken_plugins_are_shown_once(broken: Path) -> None:
+    """Without the tests' own handlers of log messages, on standard error."""
+    environment = {**os.environ, "PYTHONPATH": str(broken)}
+    command = [sys.executable, "-m", "naosprint", "policies"]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert "t1-sprint" in ran.stdout
+    told = ran.stderr.splitlines()
+    assert len(told) == len(set(told)) and all(line.startswith("left out: ") for line in told)
+    for package in ("sinking", "lame", "first-divers", "second-divers"):
+        assert sum(f"package {package} " in line for line in told) == 1
+
+
+def test_an_error_before_the_options_are_known_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> None:
+        raise plugins.BrokenPluginError("swim: no water")
+
+    monkeypatch.setattr("naosprint.__main__.settings", fail)
+    assert main(["policies"]) == 1
+    assert capsys.readouterr().err == "error: swim: no water\n"
 
 
 def test_train_takes_the_job_file_of_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

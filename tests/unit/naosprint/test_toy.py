@@ -154,6 +154,23 @@ def test_resuming_continues_bit_for_bit(tmp_path: Path, recorder: Any) -> None:
     assert_same(rest.checkpoint, whole.checkpoint)
 
 
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("progress", "depth"), "task crawl: summarize returned depth; declare each in the task's metrics or results"),
+        (("progress", "progress"), "task crawl: summarize returned progress more than once"),
+    ],
+)
+def test_results_that_a_task_does_not_declare_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorder: Any, names: tuple[str, ...], words: str
+) -> None:
+    result = train(crawl_spec(total_steps=1024), workdir=tmp_path, reporter=recorder)
+    returned = tuple(Result(Metric(name, "A number"), 1.0) for name in names)
+    monkeypatch.setattr(Crawl, "summarize", lambda self, episodes, statistics: (returned, ()))
+    with pytest.raises(ValueError, match=words):
+        evaluate(result.checkpoint, EvaluationSpec(episodes=2))
+
+
 @pytest.mark.parametrize("value", [np.nan, -np.inf], ids=str)
 def test_a_number_that_is_not_finite_is_named_once_and_ends_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], value: float

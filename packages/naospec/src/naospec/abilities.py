@@ -134,8 +134,8 @@ def _error(
     """Return the error of a value that needs what is not there, with the robots and simulators that have it."""
     possible = [
         (other.name, kind.name)
-        for other in (plugins.load(plugins.ROBOTS, name) for name in plugins.names(plugins.ROBOTS))
-        for kind in (plugins.load(plugins.SIMULATORS, name) for name in plugins.names(plugins.SIMULATORS))
+        for _, other in plugins.usable(plugins.ROBOTS)
+        for _, kind in plugins.usable(plugins.SIMULATORS)
         if kind.supports(other) and task.supports(other) and need in _of(other, kind, task)
     ]
     robots = [other for other, kind in possible if kind == simulator.name]

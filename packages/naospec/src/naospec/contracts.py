@@ -87,6 +87,7 @@ class LearnerContract(Protocol):
     """A learning algorithm."""
 
     name: str
+    metrics: Sequence[Metric]
     Parameters: type[BaseModel]
 
     def load_policy(

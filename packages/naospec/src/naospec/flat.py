@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from naospec import plugins
 from naospec.fields import TrainingFields
-from naospec.sections import as_mapping, variants
+from naospec.sections import as_mapping, is_built_in, variants
 from naospec.settings import RuntimeSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from pydantic.fields import FieldInfo
+
+    from naospec.sections import Section
 
 GROUPS = {
     "task": plugins.TASKS,
@@ -22,6 +24,16 @@ GROUPS = {
     "algorithm": plugins.LEARNERS,
 }
 """Sections that plug-ins define, and their entry-point groups."""
+
+OPTIONS = frozenset(
+    (
+        *("as_json", "checkpoint", "ctx", "dry_run", "elsewhere", "evaluate", "evaluation", "file", "from"),
+        *("from_policy", "grid", "help", "help_all", "json", "key", "name", "not_before", "objective", "parallel"),
+        *("parent", "policy", "population", "priority", "prune", "prune_metric", "recipe", "resume", "sampler"),
+        *("sampler_seed", "seeds", "space", "spec", "steps", "tag", "trials", "watch", "workdir"),
+    )
+)
+"""What `naosprint train`, `naoctl submit` and `naoctl tune` call their own arguments and options."""
 
 
 @dataclass(frozen=True)
@@ -46,31 +58,67 @@ class Setting:
 def settings() -> dict[str, Setting]:
     """Return every setting of a training's specification by short name, in the order of the sections.
 
-    A setting's short name is its field's; where two sections have a field of the same name, the later one is prefixed
-    with its section.
+    A setting's short name is its field's. Where it is taken, a plug-in's own setting is prefixed with its section, as
+    ``task_learning_rate``: names of this project keep their meaning, and so do options of commands.
     """
+    offered = {section: list(variants(group)) for section, group in GROUPS.items()}
+    fields = {section: _fields(models) for section, models in offered.items()}
+    outer: dict[tuple[str, ...], FieldInfo] = {
+        (name,): TrainingFields.model_fields[name] for name in ("total_steps", "seed")
+    } | {("runtime", name): info for name, info in RuntimeSettings.model_fields.items()}
+    short: dict[str, tuple[str, ...]] = {section: (section, "name") for section in GROUPS}
+    short |= {path[-1]: path for path in outer}
+    for built_in in (True, False):
+        # tasks come last: what an algorithm calls by a name is what it means in most trainings
+        for section in reversed(GROUPS):
+            for each in fields[section].values():
+                if each.built_in is built_in:
+                    short[_unused(each.name, section, short, built_in=built_in)] = (section, each.name)
+    names = {path: name for name, path in short.items()}
     found: dict[str, Setting] = {}
-    for section, group in GROUPS.items():
-        names = plugins.names(group)
-        owners: dict[str, list[str]] = {}
-        infos: dict[str, FieldInfo] = {}
-        for name, model, _ in variants(group):
-            for field, info in model.model_fields.items():
-                if name not in owners.setdefault(field, []):
-                    owners[field].append(name)
-                infos.setdefault(field, info)
-        found[section] = Setting(section, (section, "name"), TrainingFields.model_fields[section], choices=names)
-        for field, info in infos.items():
-            if field in ("name", "version"):
+    for section, models in offered.items():
+        choices = tuple(dict.fromkeys(plugin for plugin, _, _ in models))
+        found[section] = Setting(section, (section, "name"), TrainingFields.model_fields[section], choices=choices)
+        for each in fields[section].values():
+            name, everyone = names[section, each.name], len(each.plugins) == len(choices)
+            owners = () if everyone else tuple(each.plugins)
+            found[name] = Setting(name, (section, each.name), each.info, owners)
+    return found | {names[path]: Setting(names[path], path, info) for path, info in outer.items()}
+
+
+@dataclass
+class _Field:
+    """A setting of some plug-ins of a section; its description is the project's, if the project declares it."""
+
+    name: str
+    info: FieldInfo
+    built_in: bool
+    plugins: list[str] = field(default_factory=list)
+
+
+def _fields(models: Iterable[tuple[str, type[Section], tuple[str, ...]]]) -> dict[str, _Field]:
+    """Return the settings of a section by name, without those that every section has."""
+    found: dict[str, _Field] = {}
+    for plugin, model, _ in models:
+        for name, info in model.model_fields.items():
+            if name in ("name", "version"):
                 continue
-            short = field if field not in found else f"{section}_{field}"
-            everyone = len(owners[field]) == len(names)
-            found[short] = Setting(short, (section, field), info, () if everyone else tuple(owners[field]))
-    for field in ("total_steps", "seed"):
-        found[field] = Setting(field, (field,), TrainingFields.model_fields[field])
-    for field, info in RuntimeSettings.model_fields.items():
-        found[field] = Setting(field, ("runtime", field), info)
+            built_in = is_built_in(model, name)
+            known = found.setdefault(name, _Field(name, info, built_in))
+            if built_in and not known.built_in:
+                known.info, known.built_in = info, True
+            if plugin not in known.plugins:
+                known.plugins.append(plugin)
     return found
+
+
+def _unused(field: str, section: str, short: Mapping[str, tuple[str, ...]], *, built_in: bool) -> str:
+    """Return a field's name, after its section's if something else has the name already."""
+    name = field
+    # flags of an evaluation's settings begin with eval_
+    while name in short or (not built_in and (name in OPTIONS or name.startswith("eval_"))):
+        name = f"{section}_{name}"
+    return name
 
 
 def nest(values: Mapping[str, Any], base: Mapping[str, Any] | None = None) -> dict[str, Any]:

@@ -28,7 +28,7 @@ class FormatError(ValueError):
     """Document of a format that this version cannot read."""
 
 
-CURRENT: dict[Kind, int] = {Kind.TRAINING: 3, Kind.EVALUATION: 1, Kind.CHECKPOINT: 4, Kind.RESULT: 4}
+CURRENT: dict[Kind, int] = {Kind.TRAINING: 3, Kind.EVALUATION: 1, Kind.CHECKPOINT: 5, Kind.RESULT: 4}
 """The formats that this version writes."""
 
 UNNUMBERED: Mapping[Kind, int] = {Kind.TRAINING: 1, Kind.EVALUATION: 1}
@@ -97,6 +97,7 @@ CONVERSIONS: dict[tuple[Kind, int], Callable[[Document], Document]] = {
     (Kind.TRAINING, 2): _version_3,
     (Kind.CHECKPOINT, 2): _within("spec", _engine),
     (Kind.CHECKPOINT, 3): _within("spec", _version_3),
+    (Kind.CHECKPOINT, 4): dict,  # has no names of what only a critic observes
     (Kind.RESULT, 2): _within("training", _engine),
     (Kind.RESULT, 3): _within("training", _version_3),
 }

@@ -11,13 +11,14 @@ from __future__ import annotations
 import inspect
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from types import UnionType
 from typing import ClassVar, Generic, TypeVar, cast, get_origin, get_type_hints
 
 from naospec.contracts import LearnerContract, RobotContract, SimulatorContract, TaskContract
+from naospec.metrics import ENGINES, EPISODE_METRICS, PACE, PROGRESS, Metric
 
 Found = TypeVar("Found", covariant=True)
 
@@ -68,15 +69,13 @@ class BrokenPluginError(RuntimeError):
 
 
 @cache
-def _entries(group: str) -> dict[str, EntryPoint]:
-    found: dict[str, EntryPoint] = {}
+def _entries(group: str) -> dict[str, tuple[EntryPoint, ...]]:
+    """Return what a group offers by name: one entry point, or those that differ, of which none can be loaded."""
+    found: dict[str, tuple[EntryPoint, ...]] = {}
     for entry in entry_points(group=group):
-        other = found.get(entry.name)
-        if other is not None and other.value != entry.value:
-            raise BrokenPluginError(
-                f"{group}: {entry.name!r} is offered twice, as {other.value} and {entry.value}; uninstall one of them"
-            )
-        found[entry.name] = entry
+        others = found.get(entry.name, ())
+        if entry.value not in {other.value for other in others}:
+            found[entry.name] = (*others, entry)
     return found
 
 
@@ -100,28 +99,57 @@ def usable(group: Group[Found]) -> Iterator[tuple[str, Found]]:
     """Yield what a group offers by name; what cannot be loaded is logged and left out."""
     for name in names(group):
         try:
-            yield name, load(group, name)
+            plugin = load(group, name)
         except BrokenPluginError as error:
-            _log.warning("left out: %s", error)
+            leave_out(str(error))
+        else:
+            yield name, plugin
+
+
+def find(group: Group[Found], name: str) -> Found | None:
+    """Return what a group offers under ``name``, or None if there is nothing that can be used."""
+    try:
+        return load(group, name)
+    except UnknownPluginError:
+        return None
+    except BrokenPluginError as error:
+        leave_out(str(error))
+        return None
+
+
+@cache
+def leave_out(reason: str) -> None:
+    """Log what is left out of lists because it cannot be used, once in a process."""
+    _log.warning("left out: %s", " ".join(reason.split()))
 
 
 @cache
 def _load(group: str, name: str) -> object:
-    entry = _entries(group).get(name)
-    if entry is None:
+    entries = _entries(group).get(name, ())
+    if not entries:
         raise UnknownPluginError(
-            f"unknown {_NOUNS.get(group, group)} {name!r}: choose one of {', '.join(names(group)) or 'none'}"
+            f"unknown {_NOUNS.get(group, group)} {name!r}: choose one of {', '.join(names(group)) or 'none'}, "
+            "or install the package that offers it"
         )
+    if len(entries) > 1:
+        offers = " and ".join(f"package {_package(entry)} as {entry.value}" for entry in entries)
+        raise BrokenPluginError(f"{name}: {offers} offer the same {_NOUNS.get(group, group)}; uninstall all but one")
+    (entry,) = entries
     try:
         with _LOADING:
             plugin = entry.load()
         _require_contract(group, name, plugin)
         return plugin
-    except Exception as error:
-        package = entry.dist.name if entry.dist is not None else entry.value
+    except (Exception, SystemExit) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise BrokenPluginError(
-            f"{name}: package {package} offers it as {entry.value}, which cannot be used: {error}"
+            f"{name}: package {_package(entry)} offers it as {entry.value}, which cannot be used: {reason}"
         ) from error
+
+
+def _package(entry: EntryPoint) -> str:
+    """Return the name of the package that offers something."""
+    return entry.dist.name if entry.dist is not None else entry.value
 
 
 def _require_contract(group: str, name: str, plugin: object) -> None:
@@ -151,6 +179,26 @@ def _require_contract(group: str, name: str, plugin: object) -> None:
         reason = _mismatch(_function(own), _function(expected))
         if reason:
             raise TypeError(f"{kind.__name__}.{method}: {reason}")
+    if group in (TASKS, LEARNERS):
+        _require_names(kind, getattr(plugin, "metrics", ()), getattr(plugin, "results", ()))
+
+
+def _require_names(kind: type, metrics: Iterable[Metric], results: Iterable[Metric]) -> None:
+    """Check that a plug-in's metrics and results have names of their own: there is one value for each name.
+
+    Raises:
+        TypeError: naming the class and the name.
+    """
+    episodes = {each.name for each in EPISODE_METRICS}
+    columns = episodes | {each.name for each in (*PROGRESS, *ENGINES, *PACE)}
+    seen: set[str] = set()
+    for attribute, declared, reported in (("metrics", metrics, columns), ("results", results, episodes)):
+        for name in (each.name for each in declared):
+            if name in reported:
+                raise TypeError(f"{kind.__name__}.{attribute}: every training reports {name!r}; choose another name")
+            if name in seen:
+                raise TypeError(f"{kind.__name__}.{attribute}: {name!r} is given twice; choose another name")
+            seen.add(name)
 
 
 _FUNCTION = type(_require_contract)

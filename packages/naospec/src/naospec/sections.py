@@ -6,8 +6,10 @@ subclass of :class:`Section` that the plug-in provides.
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, ValidationError, ValidationInfo
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 
     from naospec.contracts import RobotContract, SimulatorContract, TaskContract
 
+_PROJECT = frozenset({"naospec", "naosim", "naosprint"})
+"""Packages of this project that define settings."""
 
 PLAIN_NAME = "^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$"
 """Pattern of names that enter generated files as they are: letters, digits, ``_``, ``.`` and ``-``."""
@@ -96,20 +100,43 @@ def section_models(group: str, name: str, robot: RobotContract | None = None) ->
     return model
 
 
+@cache
+def is_built_in(model: type[Section], field: str) -> bool:
+    """Return whether a class of this project declares a setting, which a plug-in's model may inherit.
+
+    Presets are written for these settings, and they keep their short names.
+    """
+    bases = (base for base in model.__mro__ if issubclass(base, Section))
+    owner = next((base for base in bases if field in inspect.get_annotations(base)), model)
+    return owner.__module__.partition(".")[0] in _PROJECT
+
+
 def variants(group: str) -> Iterator[tuple[str, type[Section], tuple[str, ...]]]:
-    """Yield every settings model of a group: plug-in, model, and the robots it applies to (empty: all of them)."""
-    for name in plugins.names(group):
-        if group not in (plugins.SIMULATORS, plugins.TASKS):
-            yield name, section_models(group, name), ()
-            continue
-        plugin: SimulatorContract | TaskContract = (
-            plugins.load(plugins.SIMULATORS, name) if group == plugins.SIMULATORS else plugins.load(plugins.TASKS, name)
-        )
+    """Yield every settings model of a group: plug-in, model, and the robots it applies to (empty: all of them).
+
+    What cannot be used is logged and left out: a broken plug-in is the problem of those who name it.
+    """
+    if group not in (plugins.SIMULATORS, plugins.TASKS):
+        for name in plugins.names(group):
+            try:
+                only = section_models(group, name)
+            except plugins.BrokenPluginError as error:
+                plugins.leave_out(str(error))
+            else:
+                yield name, only, ()
+        return
+    found: Iterator[tuple[str, SimulatorContract | TaskContract]] = (
+        plugins.usable(plugins.SIMULATORS) if group == plugins.SIMULATORS else plugins.usable(plugins.TASKS)
+    )
+    known = list(plugins.usable(plugins.ROBOTS))
+    for name, plugin in found:
         by_model: dict[type[Section], list[str]] = {}
-        for robot_name in plugins.names(plugins.ROBOTS):
-            robot = plugins.load(plugins.ROBOTS, robot_name)
-            if plugin.supports(robot):
-                by_model.setdefault(section_models(group, name, robot), []).append(robot_name)
+        for robot_name, robot in known:
+            try:
+                if plugin.supports(robot):
+                    by_model.setdefault(section_models(group, name, robot), []).append(robot_name)
+            except Exception as error:  # of the plug-in's own code
+                plugins.leave_out(f"{name} with robot {robot_name}: {type(error).__name__}: {error}")
         for model, robots in by_model.items():
             yield name, model, tuple(robots)
 
@@ -188,11 +215,7 @@ class PluginSection:
             robot = plugins.load(plugins.ROBOTS, section.name)
             kind = plugins.load(plugins.SIMULATORS, name)
             if not kind.supports(robot):
-                possible = [
-                    other
-                    for other in plugins.names(self.group)
-                    if plugins.load(plugins.SIMULATORS, other).supports(robot)
-                ]
+                possible = [other for other, each in plugins.usable(plugins.SIMULATORS) if each.supports(robot)]
                 raise PydanticCustomError(
                     "simulator_robot",
                     "'{name}' cannot run robot '{robot}': choose one of {names}",
@@ -223,14 +246,26 @@ class PluginSection:
         del schema
         options = []
         for name, model, robots in variants(self.group):
-            option = dict(handler.resolve_ref_schema(handler(model.__pydantic_core_schema__)))
-            described = {key: value for key, value in option["properties"]["name"].items() if key != "default"}
-            option["properties"] = {**option["properties"], "name": {**described, "const": name, "type": "string"}}
-            option["required"] = ["name"]
-            option["title"] = name
-            if robots:
-                option["x-robots"] = list(robots)
-            if there := _provided(self.group, name, robots or ([name] if self.group == plugins.ROBOTS else [])):
-                option["x-provides"] = there
-            options.append(option)
+            try:
+                options.append(self._option(name, model, robots, handler))
+            except Exception as error:  # of the plug-in's own code, or of a type that JSON does not have
+                plugins.leave_out(f"{name}: {type(error).__name__}: {error}")
         return {"oneOf": options, "x-plugin-group": self.group}
+
+    def _option(
+        self, name: str, model: type[Section], robots: Sequence[str], handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """Return the schema of one plug-in's section."""
+        option = dict(handler.resolve_ref_schema(handler(model.__pydantic_core_schema__)))
+        described = {key: value for key, value in option["properties"]["name"].items() if key != "default"}
+        option["properties"] = {
+            field: schema if is_built_in(model, field) else {**schema, "own": True}
+            for field, schema in option["properties"].items()
+        } | {"name": {**described, "const": name, "type": "string"}}
+        option["required"] = ["name"]
+        option["title"] = name
+        if robots:
+            option["x-robots"] = list(robots)
+        if there := _provided(self.group, name, robots or ([name] if self.group == plugins.ROBOTS else [])):
+            option["x-provides"] = there
+        return option

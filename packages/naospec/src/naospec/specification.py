@@ -18,7 +18,7 @@ from naospec.fields import DEFAULTS, TrainingFields
 from naospec.flat import settings
 from naospec.sections import PluginSection
 from naospec.settings import RuntimeSettings, TaskSettings
-from naospec.written import WrittenSpec
+from naospec.written import WrittenSpec, preset_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -76,7 +76,8 @@ class TrainingSpec(_Specification, TrainingFields):
             raise PydanticCustomError(
                 "task_version",
                 "task.version: the specification is for version {wanted} of task '{name}', installed is version "
-                "{installed}",
+                "{installed}; install the version of its package that has version {wanted}, or train with the "
+                "installed one",
                 {"wanted": self.task.version, "name": self.task.name, "installed": task.version},
             )
         simulator = plugins.load(plugins.SIMULATORS, self.simulator.name)
@@ -86,7 +87,15 @@ class TrainingSpec(_Specification, TrainingFields):
         sections = {name: getattr(self, name) for name in DEFAULTS}
         if errors := list(lacking(robot, simulator, task, sections)):
             raise ValidationError.from_exception_data(type(self).__name__, errors)
-        plugins.load(plugins.LEARNERS, self.algorithm.name).require(self.algorithm, robot, task.name)
+        learner = plugins.load(plugins.LEARNERS, self.algorithm.name)
+        if twice := {metric.name for metric in task.metrics} & {metric.name for metric in learner.metrics}:
+            raise PydanticCustomError(
+                "metric_names",
+                "task {task} and algorithm {algorithm} both have a metric {names}, of which a training reports one; "
+                "use another algorithm, or rename the task's metric",
+                {"task": task.name, "algorithm": learner.name, "names": ", ".join(sorted(twice))},
+            )
+        learner.require(self.algorithm, robot, task.name)
         if self.stages:
             total = sum(stage.steps for stage in self.stages)
             if self.total_steps != total:
@@ -177,14 +186,14 @@ class TrainingSpec(_Specification, TrainingFields):
         found: dict[str, Any] = {}
         family = self.family
         for section in presets.SECTIONS:
-            values = presets.values(self.algorithm.preset, section, family)
+            values = preset_values(type(getattr(self, section)), self.algorithm.preset, section, family)
             if section == "algorithm":
                 fields = type(self.algorithm).model_fields
                 values = {
                     name: fields[name].get_default() for name in fields if name not in ("name", "preset")
                 } | values
             for name, value in values.items():
-                mine = getattr(getattr(self, section), name, value)
+                mine = getattr(getattr(self, section), name)
                 if mine != (tuple(value) if isinstance(value, list) else value):
                     found[f"{section}.{name}"] = mine
         return found
@@ -219,7 +228,7 @@ class TrainingSpec(_Specification, TrainingFields):
         for section, default in bare.items():
             usual = default.model_dump(mode="json")
             if section in presets.SECTIONS:
-                usual |= presets.values(self.algorithm.preset, section, self.family)
+                usual |= preset_values(type(default), self.algorithm.preset, section, self.family)
             chosen = content[section].items()
             content[section] = {
                 name: value

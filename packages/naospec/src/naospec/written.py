@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from naospec import plugins, presets
 from naospec.fields import DEFAULTS, Stage
 from naospec.flat import GROUPS, nest
-from naospec.sections import as_mapping, section_models
+from naospec.sections import Section, as_mapping, is_built_in, section_models
 from naospec.settings import DEFAULT_PRESET
 
 
@@ -50,6 +50,12 @@ class WrittenSpec:
         return {"total_steps": total, **content} if total else content
 
 
+def preset_values(model: type[Section], preset: str, section: str, family: str | None) -> dict[str, Any]:
+    """Return what a preset sets in a section with this model: not what a plug-in's model declares itself."""
+    values = presets.values(preset, section, family)
+    return {name: values[name] for name in values if name in model.model_fields and is_built_in(model, name)}
+
+
 def _add_preset(content: dict[str, Any], family: str | None) -> None:
     """Fill in the preset's values where the plug-ins of the sections have such settings."""
     algorithm = content["algorithm"]
@@ -59,9 +65,8 @@ def _add_preset(content: dict[str, Any], family: str | None) -> None:
     for section in presets.SECTIONS:
         plugin = _plugin(section, content[section])
         if plugin is not None:
-            fields = section_models(GROUPS[section], plugin).model_fields
-            values = presets.values(preset, section, family)
-            content[section] = {**{name: values[name] for name in values if name in fields}, **content[section]}
+            values = preset_values(section_models(GROUPS[section], plugin), preset, section, family)
+            content[section] = {**values, **content[section]}
 
 
 def _plugin(section: str, value: object) -> str | None:

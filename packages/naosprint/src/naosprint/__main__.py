@@ -50,11 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # what the terminal's character set has not
-    options = _parser().parse_args(arguments)
-    run: Callable[[argparse.Namespace], int] = options.run
-    # of what is written there, an error of a disk may not name the file
-    written = getattr(options, "output", None) or getattr(options, "workdir", None) or Path.cwd()
     try:
+        options = _parser().parse_args(arguments)
+        run: Callable[[argparse.Namespace], int] = options.run
+        # of what is written there, an error of a disk may not name the file
+        written = getattr(options, "output", None) or getattr(options, "workdir", None) or Path.cwd()
         with named_errors(written):
             return run(options)
     except ValidationError as error:
@@ -170,7 +170,7 @@ def _parser() -> argparse.ArgumentParser:
         "--format",
         action="append",
         choices=("numpy", "onnx", "c", "skill"),
-        help="format of the policy; may be given repeatedly (default: all that its robot has)",
+        help="format of the policy; may be given repeatedly (default: all that are possible)",
     )
     export.add_argument(
         "--name",
@@ -549,10 +549,15 @@ def _report(options: argparse.Namespace) -> int:
     return 0
 
 
+def _warn(sentence: str) -> None:
+    sys.stderr.write(f"warning: {sentence}\n")
+
+
 def _export(options: argparse.Namespace) -> int:
     from naosprint.export import export_policy
 
-    for path in export_policy(naopolicies.resolve(options.checkpoint), options.output, options.format, options.name):
+    checkpoint = naopolicies.resolve(options.checkpoint)
+    for path in export_policy(checkpoint, options.output, options.format, options.name, warn=_warn):
         sys.stdout.write(f"{path}\n")
     return 0
 

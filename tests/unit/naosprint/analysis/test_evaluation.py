@@ -348,3 +348,18 @@ def test_neighbours_on_the_fast_engine_change_no_result() -> None:
         return [found.x.tobytes(), found.joint_angles.tobytes()]
 
     assert paths(4) == paths(1)
+
+
+@pytest.mark.parametrize("returned", ["results", "one", "pair", "nothing"])
+def test_what_summarize_has_to_return_is_named(
+    returned: str, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = Sprint1.summarize
+
+    def summarize(task: Sprint1, episodes: Episodes, statistics: Statistics) -> Any:
+        results, _ = usual(task, episodes, statistics)
+        return {"results": results, "one": results[0], "pair": (results[0], results[1]), "nothing": None}[returned]
+
+    monkeypatch.setattr(Sprint1, "summarize", summarize)
+    with pytest.raises(ValueError, match=r"task sprint1: summarize has to return .*, as \(results, \(\)\)"):
+        evaluate(checkpoint, EvaluationSpec(episodes=2))

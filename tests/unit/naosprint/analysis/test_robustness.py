@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import naopolicies
 import pytest
+from naospec import TrainingSpec
 from naospec.metrics import Metric, Result
+from naosprint import train
 from naosprint.__main__ import main
 from naosprint.analysis import examination, figures
 from naosprint.analysis.motion import motion
@@ -88,3 +92,23 @@ def test_unknown_disturbances_and_impossible_numbers_are_named(capsys: pytest.Ca
     ):
         assert main(["examine", "t1-sprint", *arguments]) == 1
         assert message in capsys.readouterr().err
+
+
+def test_a_task_without_a_disturbance_is_examined_in_the_others(
+    offer: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], recorder: Any
+) -> None:
+    """Own tasks need not inherit the settings of disturbances."""
+    offer("naosprint-backwards")
+    algorithm = {"n_envs": 2, "n_steps": 16, "batch_size": 32, "hidden_sizes": [8]}
+    spec = TrainingSpec.model_validate(
+        {"robot": "nao-0", "task": "run-backwards", "algorithm": algorithm, "total_steps": 32}
+    )
+    checkpoint = train(spec, workdir=tmp_path / "run", reporter=recorder).checkpoint
+    assert (
+        main(["examine", str(checkpoint), "--only", "pushes,noise,conditions", "--episodes", "2", "--threads", "1"])
+        == 0
+    )
+    printed = capsys.readouterr().out
+    assert printed.count("not a setting of this task") == 2 and "none" in printed
+    (found, _) = ranges(checkpoint, names=["pushes", "noise"])
+    assert found.missing and found.impossible == "task run-backwards has no setting push_mps"

@@ -445,7 +445,9 @@ def test_a_policy_goes_on_with_another_critic(open_learner: Open) -> None:
     for giver, taker in ((plain, privileged), (privileged, plain), (privileged, open_learner(robot="t1"))):
         given = giver.policy_state()
         names = giver.environment.environment.observer.names, giver.environment.environment.actuation.names
-        taker.load_policy_state(taker.adapt_policy(given, observations=(names[0],) * 2, actions=(names[1],) * 2))
+        critics = tuple(each.environment.environment.observer.critic_names for each in (giver, taker))
+        adapted = taker.adapt_policy(given, observations=(names[0],) * 2, actions=(names[1],) * 2)
+        taker.load_policy_state(taker.adapt_critic(adapted, critics))
         taken = taker.policy_state()
         np.testing.assert_array_equal(taken[actor], given[actor])
         np.testing.assert_array_equal(taken["observation_mean"], given["observation_mean"])
@@ -455,6 +457,58 @@ def test_a_policy_goes_on_with_another_critic(open_learner: Open) -> None:
     given = {**privileged.policy_state(), first: np.ones_like(privileged.policy_state()[first])}
     again.load_policy_state(given)
     np.testing.assert_array_equal(again.policy_state()[first], given[first])
+
+
+def test_what_a_critic_observes_is_found_by_its_name(open_learner: Open) -> None:
+    """Two critics of as many observations, one of which is another quantity."""
+    soft, slow = (
+        open_learner(robot="t1", critic_observations=True, symmetric_policy=False, **disturbed)
+        for disturbed in ({"stiffness_min": 0.5}, {"friction_min": 0.5, "extra_delay_max": 2})
+    )
+    first = "mlp_extractor.value_net.0.weight"
+    names = tuple(each.environment.environment.observer.critic_names for each in (soft, slow))
+    assert len(names[0]) == len(names[1])
+    assert (names[0][-1], names[1][-1]) == ("contact_stiffness", "extra_delay")
+    assert soft.collect()
+    soft.update()
+    given = soft.policy_state()
+    d = given[first].shape[1] - len(names[0])
+    for known in (names[0], ()):
+        taken = slow.adapt_critic(given, (known, names[1]))
+        kept = len(names[1]) - 1 if known else 0
+        np.testing.assert_array_equal(taken[first][:, : d + kept], given[first][:, : d + kept])
+        assert np.abs(given[first][:, d:]).min() > 0.0
+        assert not taken[first][:, d + kept :].any()
+        for part, blank in (("mean", 0.0), ("variance", 1.0)):
+            found, before = taken[f"critic_observation_{part}"], given[f"critic_observation_{part}"]
+            np.testing.assert_array_equal(found[:kept], before[:kept])
+            assert (found[kept:] == blank).all()
+
+
+def test_what_joins_a_policy_is_standardized_by_its_own_samples(open_learner: Open) -> None:
+    """The start of its statistics must not weigh as much as all that the policy has observed before."""
+    plain = open_learner(robot="t1")
+    assert plain.collect()
+    given = {**plain.policy_state(), "observation_count": np.array([1e8])}
+    privileged = open_learner(robot="t1", critic_observations=True)
+    observer = privileged.environment.environment.observer
+    privileged.load_policy_state(privileged.adapt_critic(given, ((), observer.critic_names)))
+    assert privileged.collect()
+    state, d = privileged.state(), len(observer.names)
+    counts = state["normalizer.observation_counts"]
+    assert (counts[:d] > 1e8).all()
+    assert (counts[d:] < 1e4).all()
+    height = d + observer.critic_names.index("true_height")
+    assert abs(state["normalizer.observation_mean"][height] - 0.66) < 0.1
+    assert state["normalizer.observation_variance"][height] < 0.01
+    again = open_learner(robot="t1", critic_observations=True)
+    again.load_state(again.upgraded_state(state), new_episodes=True)
+    np.testing.assert_array_equal(again.state()["normalizer.observation_counts"], counts)
+    earlier = {name: value for name, value in state.items() if name != "normalizer.observation_counts"}
+    again.load_state(again.upgraded_state(earlier), new_episodes=True)
+    np.testing.assert_array_equal(
+        again.state()["normalizer.observation_counts"], np.full(len(counts), state["normalizer.observation_count"][0])
+    )
 
 
 def test_tied_gradient_is_that_of_data_and_mirrored_data(open_learner: Open) -> None:

@@ -7,9 +7,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from naospec import TrainingSpec
+from naosprint.rl.learner import TrainingDivergedError
 from naosprint.rl.rollout import TrainingEnvironment, Transition
+from naosprint.tasks.base import RewardTerm
 from naosprint.tasks.environment import open_training_environment
 from naosprint.tasks.sprint import Sprint1
+from naosprint.terms import log
 
 Open = Callable[..., TrainingEnvironment]
 
@@ -166,3 +169,34 @@ def test_short_episodes_do_not_count(open_env: Open) -> None:
         whole += int(dones[4:].sum())
     assert short > 0
     assert env.window.episodes == whole > 0
+
+
+def test_a_reward_that_is_not_finite_is_named_by_its_term(open_env: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a task of expressions as in one in Python, and before the learner's loss, which names the learning rate."""
+    usual = Sprint1.reward_terms
+
+    def in_python(task: Sprint1) -> RewardTerm:
+        return RewardTerm("own", 0.5, lambda rows: np.where(np.arange(8)[rows] == 3, np.inf, 0.0))
+
+    def compiled(task: Sprint1) -> RewardTerm:
+        return RewardTerm("own", 0.5, log(2.5 - task.world.step))
+
+    for term, step, row in ((in_python, 1, 3), (compiled, 3, 0)):
+        monkeypatch.setattr(Sprint1, "reward_terms", lambda task, term=term: [*usual(task), term(task)])
+        env = open_env()
+        env.reset()
+        for _ in range(step - 1):
+            advance(env, np.zeros((8, 20)))
+        message = f"task sprint1: reward term 'own' of environment {row} is not finite after {step} steps"
+        with pytest.raises(TrainingDivergedError, match=message):
+            advance(env, np.zeros((8, 20)))
+
+
+def test_a_measurement_that_does_not_fit_the_metrics_is_named(open_env: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Sprint1, "measure", lambda task, rows: np.zeros((len(rows), 9)))
+    env = open_env(start_episode_fraction=0.0)
+    env.reset()
+    rng = np.random.default_rng(1)
+    with pytest.raises(ValueError, match="task sprint1: measure, for distance_m,"):
+        for _ in range(150):
+            advance(env, rng.uniform(-1, 1, (8, 20)))

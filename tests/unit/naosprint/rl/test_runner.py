@@ -25,6 +25,9 @@ from naosprint.rl.checkpoint import (
 )
 from naosprint.rl.columns import ENGINES, columns
 from naosprint.rl.policy import load_policy
+from naosprint.tasks.measurements import StoredNumbers
+from naosprint.tasks.sprint import Sprint1
+from naosprint.terms import Store, source
 
 from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 
@@ -321,3 +324,28 @@ def test_a_snapshot_by_another_version_of_the_simulator_begins_new_episodes(
     again = train(spec, workdir=theirs.parent, reporter=recorder, resume=theirs)
     assert (again.status, again.steps) == ("finished", 512)
     assert ("warning", "the checkpoint has no state for this simulator; new episodes begin") in recorder.lines
+
+
+def test_a_checkpoint_from_before_stores_were_saved_is_resumed(
+    make_spec: Make, tmp_path: Path, recorder: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It lacks what stores keep and the task does not name, which then continues as in new environments."""
+    early = train(make_spec(), workdir=tmp_path / "early", reporter=recorder).checkpoint
+    usual = Sprint1.__init__
+
+    def with_a_count(task: Sprint1, *arguments: Any) -> None:
+        usual(task, *arguments)
+        count = source(np.zeros(task.n))
+        task.measurements = (*task.measurements, StoredNumbers([Store(count, update=count + 1.0)]))
+
+    monkeypatch.setattr(Sprint1, "__init__", with_a_count)
+    late = train(make_spec(total_steps=1024), workdir=tmp_path / "late", reporter=recorder, resume=early).checkpoint
+    name = "environment.stores.measurements.4.0"
+    kept = read_file(late, read_manifest(late), ENVIRONMENT)[name].view(np.float64)
+    assert (kept >= 64.0).all()
+    further = train(
+        make_spec(total_steps=1536), workdir=tmp_path / "further", reporter=recorder, resume=late
+    ).checkpoint
+    np.testing.assert_array_equal(
+        read_file(further, read_manifest(further), ENVIRONMENT)[name].view(np.float64), kept + 64.0
+    )

@@ -63,11 +63,11 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a joint that the robot lacks": (
         {"robot": {"name": "k1", "kp": {"waist": 60}}},
-        "robot.kp: kp: there is no joint 'waist'; name a group (head, arms, legs), a kind of joint (head_yaw,",
+        "robot.kp: robot k1: there is no joint 'waist'; name a group (head, arms, legs), a kind of joint (head_yaw,",
     ),
     "a gain out of range": (
         {"robot": {"name": "t1", "kd": {"legs": -1}}},
-        "robot.kd: kd: legs must be from 0 to 100, not -1",
+        "robot.kd: robot t1: legs must be from 0 to 100, not -1",
     ),
     "a height that the robot does not reach": (
         {"robot": "k1", "task": {"name": "sprint1", "min_height_m": 0.6}},

@@ -16,12 +16,12 @@ from naosprint.rl.normalization import Normalizer, RunningMoments
 from naosprint.tasks import ObservationBlock, RewardTerm, Task
 from naosprint.tasks.block import Block
 from naosprint.tasks.dribble import Dribble
-from naosprint.tasks.environment import Environment
+from naosprint.tasks.environment import STORES, Environment
 from naosprint.tasks.getup import GetUp
 from naosprint.tasks.kick import Kick
 from naosprint.tasks.sprint import Sprint1, Sprint2, SprintSettings
 from naosprint.tasks.velocity import Velocity
-from naosprint.terms import source
+from naosprint.terms import exp, log, source, sqrt, stack
 from naosprint.terms.randomness import hashed, normal
 
 NAO = robots.get("nao-0")
@@ -137,6 +137,8 @@ def test_tasks_of_expressions_have_the_same_bits_in_both_interpreters(
         environments[-1].load_starts(starts)
         environments[-1].restart(np.arange(4), np.arange(4) % len(starts))
     assert [environment.compiled for environment in environments] == [True, False]
+    # bundled tasks name what their checkpoints have
+    assert not any(name.startswith(STORES) for name in environments[0].state())
     same(*(run(environment, 45) for environment in environments))
 
 
@@ -179,6 +181,36 @@ class Composed(Sprint1):
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return half of each term."""
         return [RewardTerm(term.name, 0.5 * term.weight, term.value) for term in super().reward_terms()]
+
+
+class Undefined(Sprint1):
+    """A sprint that observes what functions have no number for."""
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return functions of arguments beyond what they are defined for."""
+        number = 1000.0 * self.world.step  # 0 at first
+        values = stack(
+            *(exp(number), exp(-number), log(number), log(-number), log(number - number)),
+            *(
+                sqrt(-number),
+                1.0 / (number - number),
+                (number - number) / (number - number),
+                number % (number - number),
+            ),
+        )
+        return [ObservationBlock([f"undefined_{k}" for k in range(values.width)], values)]
+
+
+def test_what_has_no_number_is_the_same_in_both_interpreters() -> None:
+    environments = [opened(EmbeddedSimulator(NAO, 2), Undefined, compiled=wanted) for wanted in (True, False)]
+    assert [environment.compiled for environment in environments] == [True, False]
+    for _ in range(3):
+        for environment in environments:
+            environment.step(np.zeros((2, environment.actuation.n_actions)))
+        np.testing.assert_array_equal(*(environment.observations for environment in environments))
+    assert environments[0].observations[0, :3].tolist() == [np.inf, 0.0, np.log(3000.0)]
+    for environment in environments:
+        environment.close()
 
 
 @pytest.mark.parametrize("task", [OwnAdvance, OwnTerm, OwnBlock])

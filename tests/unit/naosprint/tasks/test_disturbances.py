@@ -12,9 +12,10 @@ from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.settings import BoosterEmbeddedParameters, Engine
 from naosim.robots.booster import T1
 from naosim.simspark.embedded import EmbeddedSimulator
-from naosim.simulator import Variation
+from naosim.simulator import BALL, Scene, Variation
 from naospec import EvaluationSpec, TrainingSpec
-from naosprint.tasks.disturbances import NOISE, DisturbanceSettings
+from naosprint.tasks.base import Task
+from naosprint.tasks.disturbances import NOISE, BallNoiseSettings, DisturbanceSettings
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.sprint import Sprint1, SprintSettings
 from pydantic import ValidationError
@@ -329,3 +330,41 @@ def test_impossible_disturbances_are_refused() -> None:
         parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), NAO)
         with pytest.raises(ValueError, match=named):
             Environment(nao, Sprint1, parameters)
+
+
+class Look(Task[BallNoiseSettings]):
+    """Look at a ball; of all settings of disturbances the task has its noise only."""
+
+    name = "look"
+    scene = Scene(ball=True)
+    Parameters = BallNoiseSettings
+
+    def place(self, rows: np.ndarray) -> None:
+        """Place the ball at the edge of what the robot sees."""
+        ball = self.world.position(rows).copy()
+        ball[:, 0] += 1.5
+        ball[:, 2] = self.robot.field.ball_radius_m
+        self.world.place_ball(rows, ball)
+
+
+def test_noise_on_the_ball_is_a_setting_of_its_own() -> None:
+    """A task may have it without the other disturbances."""
+    seen, n, robot = [], 64, T1.with_parameters({"head_pitch_rad": 0.3})
+    for noise in (0.0, 0.1):
+        simulator = MujocoSimulator(robot, n, scene=Look.scene)
+        environment = Environment(simulator, Look, BallNoiseSettings(name="look", ball_noise_m=noise))
+        environment.load_starts(environment.task.starts(1, 0, 0.0))
+        environment.restart(np.arange(n), np.zeros(n, dtype=np.int64))
+        run(environment, 2)
+        seen.append(environment.world.perceptors[BALL][:, 0].copy())
+        assert environment.state().keys() >= ({"disturbances.count"} if noise else set())
+    off = seen[1] - seen[0]
+    assert not np.isnan(off).any() and off.std() == pytest.approx(0.1, rel=0.25)
+
+
+def test_noise_on_a_ball_that_is_not_perceived_is_refused() -> None:
+    class Blind(Look):
+        scene = Scene()
+
+    with pytest.raises(ValueError, match=r"task.ball_noise_m: robot nao-0 perceives no ball; give the task a scene"):
+        Environment(EmbeddedSimulator(NAO, 1), Blind, BallNoiseSettings(name="look", ball_noise_m=0.1))

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 from naosim import robots
 from naosim.simspark import EmbeddedSimulator
 from naospec import TrainingSpec
-from naosprint.tasks.base import Task
-from naosprint.tasks.environment import Environment, open_training_environment
+from naosprint.tasks.base import RewardTerm, Task
+from naosprint.tasks.environment import STORES, Environment, open_training_environment
+from naosprint.tasks.measurements import Measurement, StoredNumbers
+from naosprint.tasks.observations import ObservationBlock, blocks
 from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.sprint import Sprint1, Sprint2, SprintSettings
+from naosprint.terms import Store, constant, maximum, source, stack, where
 
 FALL = np.ones(20)
 FALL[8:] = np.tile([0.0, 0.0, 1.0, -1.0, -1.0, 0.0], 2)
 
 
-def environment_of(n: int, task: type[Task] = Sprint1, **settings: float) -> Environment:
+def environment_of(n: int, task: type[Task] = Sprint1, *, compiled: bool = True, **settings: float) -> Environment:
     """Return n standard robots at their starts, rewarded for forward displacement only."""
     robot = robots.get("nao-0")
     chosen = SprintSettings(name=task.name, drift_penalty=0.0).model_copy(update=settings)
-    environment = Environment(EmbeddedSimulator(robot, n), task, task.resolve(chosen, robot))
+    environment = Environment(EmbeddedSimulator(robot, n), task, task.resolve(chosen, robot), compiled=compiled)
     environment.load_starts(environment.task.starts(n, 0, 2.0))
     environment.restart(np.arange(n), np.arange(n))
     return environment
@@ -227,3 +231,171 @@ def test_settings_that_depend_on_the_robot_are_its_own() -> None:
     assert heights["sprint1-erect"] > heights["sprint1"]
     own = TrainingSpec.model_validate({"task": {"name": "sprint1", "min_height_m": 0.3}})
     assert own.task.min_height_m == 0.3
+
+
+# --- what stores keep -------------------------------------------------------------------------------------------------
+
+
+class Forgetful(Sprint1):
+    """A sprint whose reward depends on what its stores keep, which it does not name in ``arrays``."""
+
+    def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:
+        super().__init__(parameters, world, seed)
+        n = self.n
+        self.best, self.first = source(np.full(n, -99.0)), source(np.zeros(n))
+        self.gain, self.unknown, self.count = (source(np.zeros(n)) for _ in range(3))
+        x, named = world.true_position[0], source(np.zeros(n))
+        self.arrays["named"] = named.array
+        best = maximum(self.best, x)
+        own = [
+            Store(self.gain, update=best - self.best),  # each step writes it before anything reads it
+            Store(self.best, begin=x, update=best),
+            Store(self.first, begin=x),
+            Store(named, begin=x, update=named + self.gain),
+            Store(self.unknown, begin=constant(np.nan), update=self.unknown + 1.0),
+            Store(self.count, update=self.count + 1.0),  # over episodes
+        ]
+        self.measurements = (*self.measurements, StoredNumbers(own))
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return a mean that a block keeps, too."""
+        mean, y = source(np.zeros((self.n, 1))), self.world.true_position[1]
+        stores = [Store(mean, begin=y, update=0.9 * mean + 0.1 * y)]
+        return [*blocks(self.world, ["step"]), ObservationBlock(("mean_y",), mean, stores=stores)]
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        """Return the new part of the way."""
+        value = stack(self.gain, self.first, where(self.count > 15.0, 1.0, 0.0)) * [1.0, 0.01, 0.5]
+        return [RewardTerm("way", 1.0, value[0] + value[1] + value[2])]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_stores_keep_continues_although_the_task_does_not_name_it(compiled: bool) -> None:
+    """Of a block, too; what a step writes first is left out, and NaN, which files refuse elsewhere, is kept."""
+    environments = [environment_of(3, Forgetful, compiled=compiled) for _ in range(2)]
+    first, second = environments
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        first.step(rng.uniform(-1, 1, (3, 20)))
+    first.restart(np.array([1]), np.array([1]))
+    first.step(rng.uniform(-1, 1, (3, 20)))
+    state = first.state()
+    kept = [name for name in state if name.startswith(STORES)]
+    own = len(first.task.measurements) - 1
+    assert kept == [f"{STORES}measurements.{own}.{k}" for k in (1, 2, 4, 5)] + [f"{STORES}blocks.mean_y.0"]
+    assert all(np.isfinite(state[name]).all() for name in kept)
+    second.load_state(state)
+    task = second.task
+    assert isinstance(task, Forgetful) and np.isnan(task.unknown.array).all()
+    for _ in range(10):
+        actions = rng.uniform(-1, 1, (3, 20))
+        assert np.array_equal(first.step(actions), second.step(actions))
+        assert np.array_equal(first.rewards, second.rewards)
+
+
+def test_what_stores_keep_is_new_in_every_episode_of_an_evaluation() -> None:
+    environment = environment_of(2, Forgetful)
+    task = environment.task
+    assert isinstance(task, Forgetful)
+    for _ in range(3):
+        environment.step(hold(environment))
+    assert task.count.array.tolist() == [4.0, 4.0]  # one step is that in which starts are checked
+    environment.restart(np.array([1]), np.array([1]), episodes=np.array([7]))
+    assert task.count.array.tolist() == [4.0, 0.0]
+
+
+class Watching(Measurement):
+    """A measurement in Python, which may read any array."""
+
+    def begin(self, rows: np.ndarray) -> None: ...
+
+    def update(self, rows: slice) -> None: ...
+
+
+def test_code_in_python_may_read_what_the_step_before_has_stored() -> None:
+    class Watched(Forgetful):
+        def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:
+            super().__init__(parameters, world, seed)
+            self.measurements = (*self.measurements[:-1], Watching(), self.measurements[-1])
+
+    class Advancing(Forgetful):
+        def advance(self, rows: slice) -> None:
+            super().advance(rows)
+
+    for task, left_out in ((Forgetful, True), (Watched, False), (Advancing, False)):
+        environment = environment_of(1, task)
+        last = len(environment.task.measurements) - 1
+        assert (f"{STORES}measurements.{last}.0" not in environment.state()) == left_out
+
+
+# --- parts that do not fit --------------------------------------------------------------------------------------------
+
+
+def broken(**parts: Any) -> type[Task]:
+    """Return a sprint with other parts."""
+
+    class Broken(Sprint1):
+        def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:
+            super().__init__(parameters, world, seed)
+            if "flags" in parts:
+                self.flags = parts["flags"](self)
+
+        def reward_terms(self) -> Sequence[RewardTerm]:
+            return [*super().reward_terms(), *([RewardTerm("own", 0.5, parts["term"])] if "term" in parts else ())]
+
+        def observation_blocks(self) -> Sequence[ObservationBlock]:
+            usual = super().observation_blocks()
+            if "block" not in parts:
+                return usual
+            return [*usual, ObservationBlock(("a", "b"), parts["block"], rates=parts.get("rates", False))]
+
+    if "ended" in parts:
+        Broken.ended = lambda self, rows: parts["ended"](rows)  # type: ignore[method-assign]
+    return Broken
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (
+            {"flags": lambda task: (task.flags[0],) * 3},
+            r"task sprint1: flags has 3 arrays for 2 ends \(fallen, arrived\); one for each is needed",
+        ),
+        ({"flags": lambda task: (np.zeros(4), task.flags[1])}, "flags: end 'fallen' has float64 of shape"),
+        (
+            {"flags": lambda task: (task.flags[0], np.zeros((4, 1), dtype=bool))},
+            "flags: end 'arrived' has bool of shape",
+        ),
+        ({"ended": lambda rows: (np.zeros(4, dtype=bool),)}, "task sprint1: ended returned 1 arrays for 2 ends"),
+        ({"ended": lambda rows: (np.zeros(4, dtype=bool), np.zeros(4))}, "ended: end 'arrived' has float64 of shape"),
+        (
+            {"ended": lambda rows: (True, False)},
+            r"ended: end 'fallen' has bool of shape \(\); a flag \(bool\) for each of 4",
+        ),
+        (
+            {"term": source(np.zeros((4, 3)))},
+            "task sprint1: reward term 'own' has 3 numbers for each robot; one is needed",
+        ),
+        (
+            {"term": lambda rows: 0.5},
+            r"task sprint1: the function of reward term 'own' returned an array of shape \(\); \(4,\), a row a robot",
+        ),
+        ({"term": lambda rows: np.zeros((4, 1))}, r"'own' returned an array of shape \(4, 1\)"),
+        ({"block": lambda rows: np.zeros((4, 1))}, r"observations: a, b: the function returned .* \(4, 1\); \(4, 2\)"),
+        ({"block": lambda rows: np.zeros((4, 1)), "rates": True}, r"observations: a, b: the function returned"),
+        ({"block": lambda rows: np.zeros(2)}, r"observations: a, b: the function returned an array of shape \(2,\)"),
+    ],
+)
+def test_a_part_that_does_not_fit_is_named(parts: dict[str, Any], message: str) -> None:
+    """Where the task is opened, or where a function is called first."""
+    with pytest.raises(ValueError, match=message):
+        environment_of(4, broken(**parts)).step(np.zeros((4, 20)))
+
+
+def test_a_measurement_of_another_width_is_named() -> None:
+    class Wide(Sprint1):
+        def measure(self, rows: np.ndarray) -> np.ndarray:
+            return np.zeros((len(rows), 9))
+
+    with pytest.raises(ValueError, match=r"task sprint1: measure, for distance_m, .* shape \(2, 9\); \(2, "):
+        environment_of(2, Wide).measured(np.arange(2))

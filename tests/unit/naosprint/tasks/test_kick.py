@@ -414,3 +414,15 @@ def test_kicks_that_need_not_go_far_have_no_rate_of_far_ones() -> None:
     results, _ = task_of(environment_of(1)).summarize(episodes_of((0.0, 3.0, 3.0, False)), Statistics(0.95, 100, 0))
     found = {result.metric.name: result.value for result in results}
     assert (found["corridor_5_rate"], found["goal_rate"]) == (None, None)
+
+
+def test_a_resumed_robot_whose_walker_has_taken_over_continues_with_it() -> None:
+    first, second = (environment_of(4, takeover_steps=2, approach_steps=100) for _ in range(2))
+    still = np.zeros((4, first.actuation.n_actions))
+    task_of(first)._kicked[1:3] = 2
+    first.step(still)
+    assert first.task.frozen is not None and first.task.frozen.tolist() == [False, True, True, False]
+    second.load_state({name: array.copy() for name, array in first.state().items()})
+    np.testing.assert_array_equal(second.task.frozen, first.task.frozen)
+    np.testing.assert_array_equal(second.step(still), first.step(still))
+    np.testing.assert_array_equal(second.world.actions, first.world.actions)

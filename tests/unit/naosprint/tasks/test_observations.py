@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -374,3 +375,17 @@ def test_only_critics_observe_where_an_onboard_booster_is_and_how_fast(name: str
     assert not names[True][0] & world
     assert names[False] == (names[True][0], set())
     assert world <= names[True][1]
+
+
+@pytest.mark.parametrize("what", ["signs", "partners", "spread"])
+def test_a_block_has_one_entry_for_each_of_its_names(what: str) -> None:
+    entries: dict[str, Any] = {what: ("a",) if what == "partners" else (1.0,)}
+    with pytest.raises(
+        ValueError, match=f"observations: a, b: {what} has 1 entries for 2 names; one for each is needed"
+    ):
+        ObservationBlock(("a", "b"), lambda rows: np.zeros((1, 2)), **entries)
+
+
+def test_a_text_is_not_taken_for_the_names_of_its_letters() -> None:
+    with pytest.raises(TypeError, match=r"observations: yaw: names is a text; a tuple is needed, as \('yaw',\)"):
+        ObservationBlock("yaw", lambda rows: np.zeros((1, 3)))

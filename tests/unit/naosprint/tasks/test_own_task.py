@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from naospec import EvaluationSpec, TrainingSpec
 from naosprint import evaluate, train
+from naosprint.__main__ import main
 from naosprint.export import FORMATS, export_policy
 from naosprint.tasks.environment import open_environment
 
@@ -60,11 +61,25 @@ def test_a_task_of_public_parts_is_imitated_evaluated_and_exported(
 
 @pytest.mark.parametrize("robot", ["nao-0", "t1"])
 def test_the_documented_task_is_exported_and_a_skill_names_what_it_cannot_compute(
-    robot: str, offer: Callable[[str], None], tmp_path: Path, recorder: Any
+    robot: str, offer: Callable[[str], None], tmp_path: Path, recorder: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """By default the others are written; a skill that was requested is an error."""
     offer("naosprint-backwards")
     result = train(specification(robot, "run-backwards"), workdir=tmp_path / "run", reporter=recorder)
-    written = export_policy(result.checkpoint, tmp_path / "export", [name for name in FORMATS if name != "skill"])
+    warnings: list[str] = []
+    written = export_policy(result.checkpoint, tmp_path / "export", warn=warnings.append)
     assert {path.suffix for path in written} == {".npz", ".onnx", ".h", ".c", ".json"}
-    with pytest.raises(ValueError, match=r"cannot compute observation gait_sin.* of task run-backwards"):
-        export_policy(result.checkpoint, tmp_path / "skill", ["skill"])
+    (sentence,) = warnings
+    reason = (
+        "the team code's skill cannot compute observation gait_sin of task run-backwards: it has no 'gait_sin', only "
+    )
+    assert sentence.startswith(f"format skill is left out: {reason}")
+    with pytest.raises(ValueError, match=f"^format skill: {reason}"):
+        export_policy(result.checkpoint, tmp_path / "skill", FORMATS)
+    words = ("export", str(result.checkpoint), str(tmp_path / "printed"))
+    assert main(words) == 0
+    out, error = capsys.readouterr()
+    assert error == f"warning: {sentence}\n"
+    assert [Path(line).name for line in out.splitlines()] == [path.name for path in written]
+    assert main([*words, "--format", "skill"]) == 1
+    assert capsys.readouterr().err.startswith(f"error: format skill: {reason}")

@@ -1,7 +1,8 @@
 """Named values for settings that a specification leaves out; one YAML file per preset beside this module.
 
 A preset has a ``summary``, values for the sections ``algorithm`` and ``task``, and under ``robots`` values that replace
-them for a robot family. A value applies only where the chosen algorithm or task has a setting of that name.
+them for a robot family. A value applies only where the chosen algorithm or task has a setting of that name, and has it
+from a class of this project: what a plug-in's model declares itself keeps its default.
 """
 
 from __future__ import annotations

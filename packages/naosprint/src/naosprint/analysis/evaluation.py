@@ -16,7 +16,7 @@ from naosim import kinds
 from naosim.simulator import STEP_S
 from naospec import formats
 from naospec.json_text import json_text
-from naospec.metrics import for_family
+from naospec.metrics import EPISODE_METRICS, Result, ResultTable, for_family
 
 from naosprint import tasks
 from naosprint.analysis.replay import Replay
@@ -27,13 +27,14 @@ from naosprint.terms.randomness import Normals
 from naosprint.threads import one_blas_thread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from naospec import EvaluationSpec, TrainingSpec
 
     from naosprint.arrays import BoolArray, Float32Array, FloatArray, IntArray
     from naosprint.rl.policy import Policy
+    from naosprint.tasks import Task
     from naosprint.tasks.environment import Environment
 
 logger = logging.getLogger(__name__)
@@ -146,7 +147,7 @@ def evaluate(
         InterruptedError: if ``stop`` returned true.
         FileNotFoundError: if the simulator's program is missing.
         naosim.simulator.ServerLostError: if more servers failed than the training's ``max_server_failures``.
-        ValueError: if the policy does not fit the task.
+        ValueError: if the policy does not fit the task, or the task returns results that it does not declare.
     """
     policy, manifest = load_policy(checkpoint)
     setting = spec.applied_to(manifest.stage_spec)
@@ -167,10 +168,11 @@ def evaluate(
         environment.close()
     episodes = recorder.episodes()
     statistics = Statistics(spec.confidence, spec.bootstrap_resamples, spec.seed)
-    found, tables = environment.task.summarize(episodes, statistics)
+    task = tasks.get(setting.task.name)
+    found, tables = _summarized(environment.task, episodes, statistics)
+    _require_declared(task, [result.metric.name for result in found])
     shown = for_family(world.robot.family, [result.metric for result in found])
     results = [result for result in found if result.metric in shown]
-    task = tasks.get(setting.task.name)
     summary = {
         "format": FORMAT,
         "checkpoint": {"step": manifest.steps, "spec_sha256": manifest.spec_sha256},
@@ -213,6 +215,31 @@ def _require_fit(environment: Environment, observations: tuple[str, ...]) -> Non
     differing = sorted(set(observations).symmetric_difference(environment.observer.names))
     names = ", ".join(differing[:8]) or "the same in another order"
     raise ValueError(f"task: the policy was trained with other observations: {names}")
+
+
+def _summarized(
+    task: Task, episodes: Episodes, statistics: Statistics
+) -> tuple[Sequence[Result], Sequence[ResultTable]]:
+    """Return results and tables of a task, which may come from another package."""
+    match task.summarize(episodes, statistics):
+        case [[*found], [*tables]] if all(isinstance(result, Result) for result in found):
+            return found, tables
+        case other:
+            raise ValueError(
+                f"task {task.name}: summarize has to return results and tables of results, as (results, ()), each in a "
+                f"tuple or list; it returned {type(other).__name__}: {str(other)[:100]}"
+            )
+
+
+def _require_declared(task: type[Task], results: Sequence[str]) -> None:
+    """Check the names of an evaluation's results, by which studies, lists and comparisons find them."""
+    declared = {metric.name for metric in (*EPISODE_METRICS, *task.metrics, *task.results)}
+    if unknown := sorted(set(results) - declared):
+        raise ValueError(
+            f"task {task.name}: summarize returned {', '.join(unknown)}; declare each in the task's metrics or results"
+        )
+    if twice := sorted({name for name in results if results.count(name) > 1}):
+        raise ValueError(f"task {task.name}: summarize returned {', '.join(twice)} more than once; return one result")
 
 
 class _Recorder:

@@ -17,8 +17,10 @@ from naosprint.rl.checkpoint import read_manifest
 from naosprint.tasks.statistics import wilson
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
+
+    from naospec import TaskSettings
 
 CONFIDENCE = 0.95
 """Level of the intervals."""
@@ -111,7 +113,8 @@ class Range:
         reached: most severe strength with few enough failures; None if there are too many even without it.
         complete: whether that is the most severe one of all, so that the true range may be wider.
         points: what was run, from none to the most severe.
-        impossible: why the robot's simulator cannot do it; empty if it can.
+        impossible: why the task or the robot's simulator cannot do it; empty if they can.
+        missing: whether it is the task that lacks the setting.
     """
 
     disturbance: Disturbance
@@ -119,9 +122,12 @@ class Range:
     complete: bool
     points: tuple[Point, ...]
     impossible: str = ""
+    missing: bool = False
 
     def text(self) -> str:
         """Return the range for readers."""
+        if self.missing:
+            return "not a setting of this task"
         if self.impossible:
             return "not possible in this simulator"
         if self.reached is None:
@@ -189,7 +195,7 @@ def ranges(
                     middle = (reached + failing) // 2
                     reached, failing = (middle, failing) if passes(middle) else (reached, middle)
         except _ImpossibleError as error:
-            found.append(Range(disturbance, None, False, (), str(error)))
+            found.append(Range(disturbance, None, False, (), str(error), isinstance(error, _MissingError)))
             continue
         ordered = tuple(points[k] for k in sorted(points))
         strength = None if reached is None else disturbance.strengths[reached]
@@ -212,9 +218,9 @@ def conditions(
         threads: threads of the simulator.
         on_condition: called before each condition.
     """
-    found, known = [], type(read_manifest(checkpoint).stage_spec.task).model_fields
+    found, task = [], read_manifest(checkpoint).stage_spec.task
     for name, settings in CONDITIONS.items():
-        if not settings.keys() <= known.keys():
+        if _missing(task, settings):
             continue  # the task has no ball, for example
         on_condition(name)
         try:
@@ -229,9 +235,21 @@ class _ImpossibleError(Exception):
     """Disturbance that the simulator refuses."""
 
 
+class _MissingError(_ImpossibleError):
+    """Disturbance whose settings the task does not have."""
+
+
+def _missing(task: TaskSettings, settings: Iterable[str]) -> list[str]:
+    """Return the settings that a task does not have; it need not inherit `DisturbanceSettings`."""
+    return sorted(set(settings) - type(task).model_fields.keys())
+
+
 def _evaluated(checkpoint: Path, settings: dict[str, Any], episodes: int, threads: int) -> dict[str, Any]:
     """Return the summary of episodes with these settings of the task, the world ideal otherwise."""
-    task = {"name": read_manifest(checkpoint).stage_spec.task.name, **settings}
+    trained = read_manifest(checkpoint).stage_spec.task
+    if missing := _missing(trained, settings):
+        raise _MissingError(f"task {trained.name} has no setting {', '.join(missing)}")
+    task = {"name": trained.name, **settings}
     spec = EvaluationSpec(episodes=episodes, seed=SEED, trajectories=1, bootstrap_resamples=100, task=task)
     try:
         return evaluate(checkpoint, spec, threads=threads).summary

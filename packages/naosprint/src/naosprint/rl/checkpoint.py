@@ -77,6 +77,8 @@ class Manifest(BaseModel):
     training_s: float = Field(ge=0.0)
     observations: tuple[PlainName, ...]
     actions: tuple[PlainName, ...]
+    critic: tuple[PlainName, ...] = ()
+    """What only a critic observes; earlier formats do not say."""
     versions: dict[PlainName, Annotated[str, Field(max_length=100)]]
     files: dict[_FileName, FileEntry]
 
@@ -109,6 +111,7 @@ class TrainingState:
         stage: number of the stage that it belongs to, from 0.
         steps: environment steps of all stages so far.
         others: what the other processes of the training need to continue.
+        critic: names of what only a critic observes.
     """
 
     stage: int
@@ -122,6 +125,7 @@ class TrainingState:
     learner: Mapping[str, AnyArray]
     environment: Mapping[str, AnyArray] | None
     others: Sequence[Mapping[str, AnyArray]] = ()
+    critic: tuple[str, ...] = ()
 
 
 def process_file(number: int) -> str:
@@ -157,6 +161,7 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
             training_s=state.training_s,
             observations=state.observations,
             actions=state.actions,
+            critic=state.critic,
             versions=installed_versions(),
             files=files,
         )

@@ -103,6 +103,23 @@ class Learner(ABC):
             "use the same robot and task"
         )
 
+    def adapt_critic(
+        self, state: Mapping[str, AnyArray], names: tuple[Sequence[str], Sequence[str]]
+    ) -> Mapping[str, AnyArray]:
+        """Return the policy of another training rearranged for what only this one's critic observes.
+
+        Args:
+            state: what :meth:`adapt_policy` returned.
+            names: names of what only a critic observes, of the other training (none if they are not known) and of this
+                one.
+        """
+        del names
+        return state
+
+    def upgraded_state(self, state: Mapping[str, AnyArray]) -> Mapping[str, AnyArray]:
+        """Return what :meth:`state` of an earlier version returned as this version's."""
+        return state
+
     def jumps(self, before: TrainingSpec, steps: int) -> list[str]:
         """Return in words what changes at once because this training has another total of steps than ``before``.
 

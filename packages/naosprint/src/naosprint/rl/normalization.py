@@ -24,6 +24,8 @@ STATISTICS = ("observation_mean", "observation_variance", "observation_count")
 REWARD_CLIP = 10.0
 """Largest magnitude of a normalized reward."""
 
+_NO_SAMPLES = 1e-4
+
 _ALL = slice(None)
 
 
@@ -41,14 +43,14 @@ class RunningMoments:
     Attributes:
         mean: (width,) mean.
         variance: (width,) variance.
-        count: (1,) number of samples.
+        count: (width,) number of samples of each; an observation that joins a policy later has fewer.
         compiled: what changes these arrays.
     """
 
     def __init__(self, width: int, mirror: Mirror | None = None, threads: int = 0) -> None:
         self.mean: FloatArray = np.zeros(width)
         self.variance: FloatArray = np.ones(width)
-        self.count: FloatArray = np.array([1e-4])
+        self.count: FloatArray = np.full(width, _NO_SAMPLES)
         index, sign = (None, None) if mirror is None else (mirror.index, mirror.sign)
         self.compiled = _compiled.Moments(self.mean, self.variance, self.count, index, sign, threads)
 
@@ -58,16 +60,19 @@ class RunningMoments:
 
     def sums(self) -> FloatArray:
         """Return the sums over the samples: (3, width) of ones, of the samples and of their squares."""
-        count = np.broadcast_to(self.count, self.mean.shape)
+        count = self.count
         return np.stack([count, count * self.mean, count * (self.variance + np.square(self.mean))])
 
     def load_sums(self, sums: FloatArray) -> None:
         """Take over what :meth:`sums` returned."""
-        self.load(sums[1] / sums[0], np.maximum(sums[2] / sums[0] - np.square(sums[1] / sums[0]), 0.0), sums[0, :1])
+        self.load(sums[1] / sums[0], np.maximum(sums[2] / sums[0] - np.square(sums[1] / sums[0]), 0.0), sums[0])
 
     def load(self, mean: AnyArray, variance: AnyArray, count: AnyArray) -> None:
-        """Take over these moments."""
-        self.mean[:], self.variance[:], self.count[:] = mean, variance, count
+        """Take over these moments; a single count is that of all that have been observed."""
+        self.mean[:], self.variance[:] = mean, variance
+        # what has never been observed must not weigh as much as the samples of all others
+        blank = (self.mean == 0.0) & (self.variance == 1.0)
+        self.count[:] = np.where(blank, _NO_SAMPLES, count) if np.size(count) == 1 else count
 
 
 class Normalizer:
@@ -164,7 +169,8 @@ class Normalizer:
         return {
             "observation_mean": seen.mean.copy(),
             "observation_variance": seen.variance.copy(),
-            "observation_count": seen.count.copy(),
+            "observation_count": seen.count.max(keepdims=True),
+            "observation_counts": seen.count.copy(),
             "return_mean": returned.mean.copy(),
             "return_variance": returned.variance.copy(),
             "return_count": returned.count.copy(),
@@ -179,5 +185,6 @@ class Normalizer:
     def load_statistics(self, state: Mapping[str, AnyArray]) -> None:
         """Restore only the statistics, which do not depend on the number of environments."""
         for moments, name in ((self.observation_moments, "observation"), (self.return_moments, "return")):
-            moments.load(*(state[f"{name}_{part}"] for part in ("mean", "variance", "count")))
+            count = state.get(f"{name}_counts", state[f"{name}_count"])
+            moments.load(state[f"{name}_mean"], state[f"{name}_variance"], count)
         self._note_merged()

@@ -432,6 +432,7 @@ class PPO(Learner):
         """Continue with these weights, as the latest ones and as their average, and with these statistics."""
         found = {name: np.array(value) for name, value in state.items()}
         statistics = {**self.normalizer.state(), **{name: found.pop(name) for name in STATISTICS}}
+        del statistics["observation_counts"]
         for name in STATISTICS[:2]:
             statistics[name] = np.append(statistics[name], found.pop(f"critic_{name}", ()))
         first = np.zeros((len(found[_FIRST]), self.environment.n_observations), np.float32)
@@ -453,7 +454,13 @@ class PPO(Learner):
             inner = self.environment.environment
             rest, spreads = inner.actuation.rest, inner.observer.spreads
             state = adapt(state, observations=observations, actions=actions, rest=rest, spreads=spreads)
-        return with_critic(state, self._n_seen, self.environment.n_observations - self._n_seen)
+        return state
+
+    def adapt_critic(
+        self, state: Mapping[str, AnyArray], names: tuple[Sequence[str], Sequence[str]]
+    ) -> Mapping[str, AnyArray]:
+        """Return it rearranged by the names of what only a critic observes."""
+        return with_critic(state, self._n_seen, names)
 
     def state(self) -> dict[str, AnyArray]:
         """Return optimizer, generator, episode starts, normalization, and the latest weights."""
@@ -472,6 +479,13 @@ class PPO(Learner):
                 value = slots[slot] if slots else torch.zeros_like(parameter if slot != "step" else torch.zeros(()))
                 state[f"adam.{slot}.{name}"] = value.detach().numpy().copy()
         return state
+
+    def upgraded_state(self, state: Mapping[str, AnyArray]) -> Mapping[str, AnyArray]:
+        """Return what :meth:`state` of an earlier version returned as this version's."""
+        counts = "normalizer.observation_counts"
+        if counts in state or "normalizer.observation_count" not in state:
+            return state
+        return {**state, counts: np.repeat(state["normalizer.observation_count"], self.environment.n_observations)}
 
     def load_state(self, state: Mapping[str, AnyArray], *, new_episodes: bool) -> None:
         """Restore what :meth:`state` returned; see :meth:`Learner.load_state`."""

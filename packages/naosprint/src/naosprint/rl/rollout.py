@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from naospec.metrics import EPISODE_METRICS
 
+from naosprint.rl.learner import TrainingDivergedError
 from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.window import EpisodeWindow
+from naosprint.tasks.environment import STORES
 from naosprint.tasks.starts import choose_starts
 
 if TYPE_CHECKING:
@@ -102,10 +104,20 @@ class TrainingEnvironment:
         self.environment.step_async(actions, rows)
 
     def step_wait(self, rows: slice) -> Transition:
-        """Finish the step that :meth:`step_async` began for these environments."""
+        """Finish the step that :meth:`step_async` began for these environments.
+
+        Raises:
+            TrainingDivergedError: if a reward is not finite; the message names the term.
+        """
         environment = self.environment
         environment.step_wait(rows)
         rewards = environment.rewards[rows].copy()
+        if not np.isfinite(rewards).all():
+            row = rows.start + int(np.flatnonzero(~np.isfinite(rewards))[0])
+            raise TrainingDivergedError(
+                f"{environment.not_finite(row)} of environment {row} is not finite after {environment.steps[row]} "
+                "steps of its episode"
+            )
         self._rewards[rows] += rewards
         dones = environment.terminated[rows] | environment.truncated[rows]
         (ended,) = dones.nonzero()
@@ -131,7 +143,7 @@ class TrainingEnvironment:
         whole = ended[~(lost | environment.short[ended])]
         if len(whole):
             general = np.stack([self._rewards[whole], environment.steps[whole].astype(np.float64)], axis=1)
-            self.window.add(np.concatenate([general, environment.task.measure(whole)], axis=1))
+            self.window.add(np.concatenate([general, environment.measured(whole)], axis=1))
         for row in ended[lost].tolist():
             self.on_loss(row, environment.simulator.loss_reason(row))
 
@@ -154,6 +166,14 @@ class TrainingEnvironment:
         state["episode"] = self._episode.copy()
         state["rewards"] = self._rewards.copy()
         return state
+
+    def upgraded_state(self, state: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+        """Return what :meth:`state` of an earlier version returned as this version's.
+
+        Earlier ones lack what stores keep and the task does not name: it continues as it is now.
+        """
+        kept = {name: value for name, value in self.state().items() if name.startswith(f"environment.{STORES}")}
+        return {**kept, **state}
 
     def load_state(self, state: Mapping[str, AnyArray]) -> None:
         """Restore what :meth:`state` returned."""

@@ -302,7 +302,9 @@ class _Session:
             learner |= {name: value for name, value in earlier.items() if name.startswith(_STATISTICS)}
         if environment is not None:
             environment = {name: value for name, value in environment.items() if not name.startswith(_STATISTICS)}
+            environment = self.environment.upgraded_state(environment)
         require_like(directory / POLICY, policy, expected.policy)
+        learner = dict(self.learner.upgraded_state(learner))
         require_like(directory / LEARNER, learner, expected.learner)
         self.learner.load_policy_state(policy)
         if environment is not None and expected.environment is not None:
@@ -361,6 +363,7 @@ class _Session:
             )
         except ValueError as error:
             raise CheckpointError(f"{directory}: {error}") from error
+        policy = self.learner.adapt_critic(policy, (manifest.critic, environment.observer.critic_names))
         require_like(directory / POLICY, policy, self.learner.policy_state())
         self.learner.load_policy_state(policy)
         self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
@@ -422,6 +425,7 @@ class _Session:
             policy=self.learner.policy_state(),
             learner=self.learner.state(),
             environment=environment if "environment.simulator" in environment else None,
+            critic=self.environment.environment.observer.critic_names,
         )
 
     def _save(self, state: TrainingState) -> Path:

@@ -115,6 +115,7 @@ class PPOSettings(LearnerSettings):
     )
     hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field(
         default=tuple(_fast("hidden_sizes")),
+        min_length=1,
         max_length=8,
         title="Hidden layers",
         description="Units of each hidden tanh layer, for actor and critic alike.",

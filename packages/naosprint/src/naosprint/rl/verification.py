@@ -86,11 +86,9 @@ def verify(earlier: Path, later: Path, progress: Callable[[int], None] = lambda 
         arrays = {}
         for file in end.files:
             theirs, ours = read_file(later, end, file), read_file(again.checkpoint, found, file)
-            names = theirs.keys() | ours.keys()
-            arrays[file] = len(names)
-            differing += [
-                f"{file}: {name}" for name in sorted(names) if not _same_bits(theirs.get(name), ours.get(name))
-            ]
+            # an earlier version may have saved fewer arrays
+            arrays[file] = len(theirs)
+            differing += [f"{file}: {name}" for name in sorted(theirs) if not _same_bits(theirs[name], ours.get(name))]
     now = installed_versions()
     versions = [f"{name}: {then}, now {now.get(name)}" for name, then in end.versions.items() if now.get(name) != then]
     return Verification((start.steps, end.steps), arrays, tuple(differing), tuple(versions))

@@ -29,8 +29,8 @@ def adapt(
 
     Observations that only the new training has get weight 0 at first; joints that only it has are held at angle 0 and
     explored with the mean of the other joints' standard deviations. New joint angles and rates are standardized as
-    those of the other joints on average, other new observations by the given spreads or as they are. What only the old
-    training has is left out. With the same names on both sides nothing changes.
+    those of the other joints on average, other new observations by the given spreads or as what has not been observed
+    yet. What only the old training has is left out. With the same names on both sides nothing changes.
 
     Args:
         policy: weights and observation statistics by name, as in a checkpoint.
@@ -68,19 +68,31 @@ def adapt(
     return fitted
 
 
-def with_critic(policy: Mapping[str, AnyArray], seen: int, own: int) -> Mapping[str, AnyArray]:
-    """Fit a policy's arrays to a critic with ``own`` observations besides the policy's ``seen``.
+def with_critic(
+    policy: Mapping[str, AnyArray], seen: int, names: tuple[Sequence[str], Sequence[str]]
+) -> Mapping[str, AnyArray]:
+    """Rearrange a policy's arrays by the names of what only its critic observes, besides the policy's ``seen``.
 
-    If the other training's critic had as many, they stay; otherwise they get weight 0 at first.
+    New ones get weight 0 at first, and statistics without a sample. So do all of a checkpoint without their names.
+
+    Args:
+        policy: weights and observation statistics by name, as in a checkpoint.
+        seen: number of the policy's own observations.
+        names: names of what only a critic observes, of the old training and of the new one.
     """
     means, weights = policy.get(_CRITIC[0], np.zeros(0)), policy.get(_FIRST_LAYERS[1], np.zeros(0))
-    if len(means) == own or weights.ndim != 2:
+    before = names[0] if len(names[0]) == len(means) else ()
+    if tuple(before) == tuple(names[1]) or weights.ndim != 2:
         return policy
+    known, new = _indices(before, names[1])
     fitted = {name: array for name, array in policy.items() if name not in _CRITIC}
-    blank = np.zeros((len(weights), own), np.float32)
-    fitted[_FIRST_LAYERS[1]] = np.append(weights[:, :seen], blank, axis=1)
-    if own:
-        fitted |= {_CRITIC[0]: np.zeros(own), _CRITIC[1]: np.ones(own)}
+    # one more column, so that there is one to choose for new names
+    old = np.append(weights[:, seen:], np.zeros((len(weights), 1), np.float32), axis=1)
+    own = np.where(new, np.float32(0.0), old[:, known])
+    fitted[_FIRST_LAYERS[1]] = np.append(weights[:, :seen], own, axis=1)
+    if len(names[1]):
+        for name, blank in zip(_CRITIC, (0.0, 1.0), strict=True):
+            fitted[name] = np.where(new, blank, np.append(policy.get(name, ()), blank)[known])
     return fitted
 
 

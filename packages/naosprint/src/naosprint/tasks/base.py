@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Generic, cast
 
 import numpy as np
-from naosim import robots
 from naosim.simulator import PLAIN, STEP_S, Ability, Scene, Starts
 from naospec import TaskSettings, plugins
 from naospec.metrics import EPISODE_METRICS, Metric, Presentation, Result, ResultTable
@@ -145,7 +144,8 @@ class Task(Plugin, Generic[Settings]):
             ValueError: if the robot cannot do it; the message names the setting.
         """
         if not cls.supports(robot):
-            possible = [name for name in robots.names() if cls.supports(robots.get(name))]
+            others = ((name, cast("Robot", other)) for name, other in plugins.usable(plugins.ROBOTS))
+            possible = [name for name, other in others if cls.supports(other)]
             raise ValueError(
                 f"task: {cls.name} is not possible with robot {robot.name}; use another task, or one of the robots "
                 f"{', '.join(possible)}"

@@ -238,7 +238,8 @@ class Disturbances:
     """The disturbances of n robots.
 
     Args:
-        settings: what to disturb, and how much.
+        settings: of the task; those of `DisturbanceSettings` and `BallNoiseSettings`, each if it has them, say what to
+            disturb, and how much.
         simulator: the robots; how their bodies and worlds differ is drawn now.
         seed: seed of all draws.
         streams: (n,) whose random numbers each robot gets, see ``World.streams``; by default its own.
@@ -251,8 +252,15 @@ class Disturbances:
     """
 
     def __init__(
-        self, settings: DisturbanceSettings, simulator: Simulator, seed: int, streams: IntArray | None = None
+        self, settings: TaskSettings, simulator: Simulator, seed: int, streams: IntArray | None = None
     ) -> None:
+        self._ball_noise_m = settings.ball_noise_m if isinstance(settings, BallNoiseSettings) else 0.0
+        if self._ball_noise_m and BALL not in simulator.perceptors:
+            raise ValueError(
+                f"task.ball_noise_m: robot {simulator.robot.name} perceives no ball; give the task a scene with a ball"
+            )
+        if not isinstance(settings, DisturbanceSettings):
+            settings = DisturbanceSettings(name=settings.name)
         self._settings = settings
         self._simulator = simulator
         self._seed = seed
@@ -270,7 +278,6 @@ class Disturbances:
             for name in simulator.perceptors
             if settings.sensor_noise and name in NOISE
         }
-        self._ball_noise_m = settings.ball_noise_m if isinstance(settings, BallNoiseSettings) else 0.0
         self._world: FloatArray = np.ones((n, 2))  # factors of friction and gravity
         self._stiffness: FloatArray = np.ones((n, 1))  # factor of that of contacts
         self._acts: FloatArray = np.full((n, 1), float(self._least))  # the delay as an observation

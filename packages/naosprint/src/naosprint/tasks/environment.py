@@ -12,26 +12,31 @@ from naospec.sections import require_plain_names
 
 from naosprint import _compiled
 from naosprint.tasks.base import Task, get
-from naosprint.tasks.disturbances import Disturbances, DisturbanceSettings
-from naosprint.tasks.measurements import StoredNumbers
-from naosprint.tasks.observations import ObservationBlock, Observer, blocks
+from naosprint.tasks.disturbances import Disturbances
+from naosprint.tasks.measurements import StoredNumbers, kept
+from naosprint.tasks.observations import ObservationBlock, Observer, blocks, require_shape
 from naosprint.tasks.world import World
 from naosprint.terms import Number
 from naosprint.terms.compiled import compilable, operation
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from naosim.simulator import Simulator, Starts
     from naospec import TaskSettings, TrainingSpec
 
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
+    from naosprint.tasks.base import End, RewardTerm
+    from naosprint.terms import Store
 
 SHORT_EPISODE_STEPS = 100
 """Steps after which short episodes are truncated: by then a robot runs."""
 
 TRAINING_STARTS = 256
 """Starts that a training chooses from, if there is start noise."""
+
+STORES = "stores."
+"""Before the names of arrays of a state that stores keep and no list of arrays names."""
 
 
 class Environment:
@@ -60,6 +65,9 @@ class Environment:
         short: (n,) environments whose episodes are truncated after ``SHORT_EPISODE_STEPS``.
         simulator_s: seconds that steps have waited for the simulator so far.
         compiled: whether steps run compiled.
+
+    Raises:
+        ValueError: if parts of the task do not fit together; the message names the task and the part.
     """
 
     def __init__(
@@ -79,19 +87,19 @@ class Environment:
         self.actuation = self.world.actuation
         self.task = task_class(parameters, self.world, seed)
         require_plain_names("joints", self.world.robot.joint_names)
-        self._terms = [term for term in self.task.reward_terms() if term.weight != 0.0]
+        terms = self.task.reward_terms()
+        _require_fit(self.task, terms)
+        self._terms = [term for term in terms if term.weight != 0.0]
         self._scale = float(parameters.reward_scale)
-        settings = (
-            parameters if isinstance(parameters, DisturbanceSettings) else DisturbanceSettings(name=task_class.name)
-        )
-        self.disturbances = Disturbances(settings, simulator, seed, self.world.streams)
+        self.disturbances = Disturbances(parameters, simulator, seed, self.world.streams)
         privileged: list[ObservationBlock] = []
         if critic:
             unseen = blocks(self.world, self.world.defaults.privileged)
             privileged = [*self.task.critic_blocks(), *self.disturbances.critic_blocks(), *unseen]
         self.observer = Observer(n, self.task.observation_blocks(), parameters.history_steps, privileged)
         require_plain_names("observations", (*self.observer.names, *self.observer.critic_names))
-        self._new = {name: array.copy() for name, array in self.task.arrays.items()}
+        self._kept = self._kept_by_stores()
+        self._new = {name: array.copy() for name, array in self._arrays.items()}
         self.rewards: FloatArray = np.zeros(n)
         self.simulator_s = 0.0
         self.terminated: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -103,6 +111,33 @@ class Environment:
         self._targets: FloatArray = np.zeros((n, self.actuation.n_joints))
         self._program = self._compile() if compiled else None
         self.compiled = self._program is not None
+
+    def _kept_by_stores(self) -> dict[str, AnyArray]:
+        """Return the arrays in which stores keep something and which neither the task nor a block names."""
+        task, world = self.task, self.world
+        saved = [*task.arrays.values(), world.steps, world.actions, world.previous_actions]
+        parts: list[tuple[str, Sequence[Store] | None]] = []
+        if type(task).advance is not Task.advance:
+            parts.append(("advance", None))
+        for number, measurement in enumerate(task.measurements):
+            if not isinstance(measurement, StoredNumbers) or not measurement.is_whole:
+                parts.append(("measurement", None))
+            if isinstance(measurement, StoredNumbers):
+                parts.append((f"measurements.{number}", measurement.stores))
+        for block in self.observer.blocks:
+            saved += block.arrays.values()
+            parts.append((f"blocks.{''.join(block.names[:1])}", block.stores))
+            if block.update is not None:
+                parts.append(("block", None))
+        return kept(parts, saved)
+
+    @property
+    def _arrays(self) -> dict[str, AnyArray]:
+        """What the task stores, by names of a state."""
+        return {
+            **{f"task.{name}": array for name, array in self.task.arrays.items()},
+            **{f"{STORES}{name}": array for name, array in self._kept.items()},
+        }
 
     def _compile(self) -> _compiled.Step | None:
         """Return the task's step as a compiled program; None if a part of it exists in Python only."""
@@ -177,7 +212,7 @@ class Environment:
         rows = np.arange(min(self.n, len(starts)))
         self.restart(rows, rows)
         self.task.advance(slice(0, self.n))
-        for end, reached in zip(self.task.ends, self.task.ended(slice(0, self.n)), strict=True):
+        for end, reached in self._ended(slice(0, self.n)):
             if reached[rows].any():
                 raise ValueError(
                     f"task: with these settings an episode ends at its start ({end.title.lower()}); "
@@ -205,7 +240,7 @@ class Environment:
         world = self.world
         if episodes is not None:
             world.streams[rows] = episodes
-            for name, array in self.task.arrays.items():
+            for name, array in self._arrays.items():
                 array[rows] = self._new[name][rows]
             self.disturbances.draw_by_episode(rows, episodes)
             self.simulator.draw_by_episode(rows, episodes)
@@ -273,7 +308,7 @@ class Environment:
             gone = gone + rows.start
             # the last report of a failing server is not used for learning
             last_observations = self.observer.observations[gone]
-            remembered = {name: array[gone] for name, array in task.arrays.items()}
+            remembered = {name: array[gone] for name, array in self._arrays.items()}
         if self._program is None:
             self._step_in_python(rows, lost)
         else:
@@ -288,7 +323,7 @@ class Environment:
             )
         if len(gone):
             self.observer.observations[gone] = last_observations
-            for name, array in task.arrays.items():
+            for name, array in self._arrays.items():
                 array[gone] = remembered[name]
 
     def _step_in_python(self, rows: slice, lost: BoolArray) -> None:
@@ -300,13 +335,15 @@ class Environment:
         rewards = np.zeros(rows.stop - rows.start)
         for number, term in enumerate(self._terms):
             value = term.compute(rows)
+            if not isinstance(term.value, Number):
+                require_shape(value, (len(lost),), f"task {task.name}: the function of reward term {term.name!r}")
             if term.weight != 1.0:
                 value = term.weight * value
             rewards = value if number == 0 else rewards + value
         self.rewards[rows] = np.where(lost, 0.0, rewards * self._scale)
         over = np.zeros(len(lost), dtype=np.bool_)
         failed = np.zeros(len(lost), dtype=np.bool_)
-        for end, reached in zip(task.ends, task.ended(rows), strict=True):
+        for end, reached in self._ended(rows):
             reached = reached & ~lost
             self.ends[end.name][rows] = reached
             over |= reached
@@ -323,10 +360,43 @@ class Environment:
         self.lost[rows], self.failed[rows] = lost, failed
         self.terminated[rows], self.truncated[rows] = terminated, truncated | short
 
+    def _ended(self, rows: slice) -> Iterator[tuple[End, BoolArray]]:
+        """Return each end of the task with the robots that have reached it.
+
+        Raises:
+            ValueError: if the task returns something else than one flag for each end and robot.
+        """
+        task = self.task
+        found = task.ended(rows)
+        _require_count(task, found, "ended returned")
+        for end, reached in zip(task.ends, found, strict=True):
+            _require_flags(reached, rows.stop - rows.start, f"task {task.name}: ended: end {end.name!r}")
+        return zip(task.ends, found, strict=True)
+
+    def measured(self, rows: IntArray) -> FloatArray:
+        """Return the (k, M) live metrics of the episodes of the robots ``rows``, which have just ended.
+
+        Raises:
+            ValueError: if the task measures something else than one number for each of them.
+        """
+        task = self.task
+        found = task.measure(rows)
+        live = [metric.name for metric in task.metrics if metric.live]
+        what = f"task {task.name}: measure, for {', '.join(live) or 'no live metric'},"
+        require_shape(found, (len(rows), len(live)), what)
+        return found
+
+    def not_finite(self, row: int) -> str:
+        """Return the name of what is not finite in the latest reward of a robot."""
+        rows = slice(row, row + 1)
+        found = (term.name for term in self._terms if not np.isfinite(term.weight * term.compute(rows)).all())
+        name = next(found, None)
+        return f"task {self.task.name}: " + ("the reward" if name is None else f"reward term {name!r}")
+
     def state(self) -> dict[str, AnyArray]:
         """Return everything that the next step depends on, the simulator's state included if it has snapshots."""
         state: dict[str, AnyArray] = {f"observer.{key}": value for key, value in self.observer.state().items()}
-        state.update({f"task.{name}": array.copy() for name, array in self.task.arrays.items()})
+        state.update({name: _saved(name, array) for name, array in self._arrays.items()})
         state.update({f"disturbances.{name}": array.copy() for name, array in self.disturbances.arrays.items()})
         state["steps"] = self.world.steps.copy()
         state["actions"] = self.world.actions.copy()
@@ -340,18 +410,66 @@ class Environment:
         """Restore what :meth:`state` returned; the starts must have been loaded before."""
         prefix = "observer."
         self.observer.load_state({key[len(prefix) :]: state[key] for key in state if key.startswith(prefix)})
-        for name, array in self.task.arrays.items():
-            array[:] = state[f"task.{name}"]
+        for name, array in self._arrays.items():
+            array[:] = state[name].view(array.dtype) if name.startswith(STORES) else state[name]
         self.disturbances.restore({name: state[f"disturbances.{name}"] for name in self.disturbances.arrays})
         self.world.steps[:] = state["steps"]
         self.world.actions[:] = state["actions"]
         self.world.previous_actions[:] = state["previous_actions"]
         self.simulator.restore(np.array(state["simulator"], dtype=np.uint8))
+        self._freeze()
+
+    def _freeze(self) -> None:
+        """Compute in which robots another policy takes over next: it follows from what was restored."""
+        frozen = self.task.frozen
+        if frozen is None or any(array is frozen for array in self._arrays.values()):
+            return
+        stores = [store for each in self.task.measurements if isinstance(each, StoredNumbers) for store in each.stores]
+        stores += [store for block in self.observer.blocks for store in block.stores]
+        for store in stores:
+            if store.target.array is frozen:
+                store.apply(store.update, slice(0, self.n))
 
     def close(self) -> None:
         """Close the simulator."""
         self._program = None  # it keeps the simulator's arrays, which must be released before the interpreter exits
         self.simulator.close()
+
+
+def _saved(name: str, array: AnyArray) -> AnyArray:
+    """Return an array as a state has it: what only stores keep as bits, since checkpoints refuse NaN."""
+    found = array.copy()
+    bits = name.startswith(STORES) and found.dtype.kind == "f"
+    return found.view(f"i{found.itemsize}") if bits else found
+
+
+def _require_fit(task: Task, terms: Sequence[RewardTerm]) -> None:
+    """Check that a task's flags and reward terms have the numbers that steps compute with."""
+    if type(task).ended is Task.ended:
+        _require_count(task, task.flags, "flags has")
+        for end, flag in zip(task.ends, task.flags, strict=True):
+            _require_flags(flag, task.n, f"task {task.name}: flags: end {end.name!r}")
+    for term in terms:
+        if isinstance(term.value, Number) and term.value.width != 1:
+            raise ValueError(
+                f"task {task.name}: reward term {term.name!r} has {term.value.width} numbers for each robot; one is "
+                "needed, such as total(...) or one of its columns"
+            )
+
+
+def _require_count(task: Task, flags: Sequence[BoolArray], what: str) -> None:
+    if len(flags) != len(task.ends):
+        names = ", ".join(end.name for end in task.ends) or "none"
+        raise ValueError(
+            f"task {task.name}: {what} {len(flags)} arrays for {len(task.ends)} ends ({names}); one for each is "
+            "needed, in their order"
+        )
+
+
+def _require_flags(flags: BoolArray, k: int, what: str) -> None:
+    shape, kind = np.shape(flags), np.asarray(flags).dtype
+    if shape != (k,) or kind != np.bool_:
+        raise ValueError(f"{what} has {kind} of shape {shape}; a flag (bool) for each of {k} robots is needed")
 
 
 def open_environment(

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from naosprint.terms import Number, Store, absolute, constant, source
+from naosprint.terms.expressions import sources
 
 if TYPE_CHECKING:
-    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.world import World
 
 
@@ -55,6 +56,44 @@ class StoredNumbers(Measurement):
         """Store what follows from the step."""
         for store in self.stores:
             store.apply(store.update, rows)
+
+
+def kept(parts: Sequence[tuple[str, Sequence[Store] | None]], saved: Sequence[AnyArray]) -> dict[str, AnyArray]:
+    """Return the arrays in which stores keep something from one step to the next, besides those that are saved already.
+
+    An array that each step writes before anything reads it keeps nothing, such as a flag.
+
+    Args:
+        parts: names and stores of what a step computes, in order; None for code in Python, which may read any array.
+        saved: arrays that are saved already.
+
+    Returns:
+        Arrays by the name of their part and the number of their store.
+    """
+    read: list[AnyArray] = []
+    written: list[AnyArray] = []
+    for _, stores in parts:
+        if stores is None:
+            break
+        for store in stores:
+            if store.update is not None:
+                array = store.target.array
+                read += [each.array for each in sources(store.update)]
+                if not any(np.may_share_memory(array, each) for each in read):
+                    written.append(array)
+    found: dict[str, AnyArray] = {}
+    for name, stores in parts:
+        for number, store in enumerate(stores or ()):
+            array = store.target.array
+            if not any(_contains(each, array) for each in (*saved, *written, *found.values())):
+                found[f"{name}.{number}"] = array
+    return found
+
+
+def _contains(array: AnyArray, part: AnyArray) -> bool:
+    """Return whether a part, such as a column, is the array or lies in it."""
+    (first, end), (low, high) = np.lib.array_utils.byte_bounds(array), np.lib.array_utils.byte_bounds(part)
+    return array is part or (array.flags.c_contiguous and first <= low and high <= end)
 
 
 class Displacement(StoredNumbers):

@@ -8,7 +8,7 @@ names, and add their own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from naosim.robots.nao import model_of
@@ -72,6 +72,9 @@ class ObservationBlock:
         begin: called with the rows of robots whose episode begins, before they are measured.
         update: called with the rows of robots that have taken a step, before they are measured.
         arrays: what the block stores, one row per robot.
+
+    Raises:
+        ValueError: if the value, partners, signs or spread are not as many as the names.
     """
 
     def __init__(
@@ -100,8 +103,28 @@ class ObservationBlock:
         self.begin = begin
         self.update = update
         self.arrays: dict[str, AnyArray] = dict(arrays or {})
+        if isinstance(names, str):
+            raise TypeError(f"observations: {names}: names is a text; a tuple is needed, as ({names!r},)")
         if isinstance(value, Number) and value.width != len(self.names):
             raise ValueError(f"observations: {', '.join(self.names)}: the expression has {value.width} numbers")
+        for what, given_for in (("partners", self.partners), ("signs", self.signs), ("spread", self.spread)):
+            if len(given_for) != len(self.names):
+                raise ValueError(
+                    f"observations: {', '.join(self.names)}: {what} has {len(given_for)} entries for "
+                    f"{len(self.names)} names; one for each is needed"
+                )
+
+    def measured(self, rows: slice | IntArray) -> FloatArray:
+        """Return the numbers of the (k,) robots ``rows``, a row for each, or one row for all.
+
+        Raises:
+            ValueError: if a function returns another shape; the message names the block.
+        """
+        values = self.value(rows)
+        if not isinstance(self.value, Number):
+            k = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
+            require_shape(values, (k, len(self.names)), f"observations: {', '.join(self.names)}: the function")
+        return values
 
 
 class Observer:
@@ -202,7 +225,7 @@ class Observer:
         first = np.zeros((len(rows), self.observations.shape[1]))
         first[:, self._value_columns] = values
         for block, at in self._plain:
-            first[:, at] = block.value(rows)
+            first[:, at] = block.measured(rows)
         for past in range(self.width, len(self.names), self.width):
             first[:, past : past + self.width] = first[:, : self.width]
         self.observations[rows] = first
@@ -228,13 +251,13 @@ class Observer:
         observations[:, self._value_columns] = values
         observations[:, self._rate_columns] = rates
         for block, at in self._plain:
-            observations[:, at] = block.value(rows)
+            observations[:, at] = block.measured(rows)
 
     def _measure(self, rows: slice | IntArray) -> FloatArray:
         k = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
         values = np.empty((k, self.values.shape[1]))
         for block, at in self._rated:
-            values[:, at] = block.value(rows)
+            values[:, at] = block.measured(rows)
         return values
 
     def state(self) -> dict[str, AnyArray]:
@@ -251,6 +274,16 @@ class Observer:
         for block in self.blocks:
             for name, array in block.arrays.items():
                 array[:] = state[name]
+
+
+def require_shape(values: Any, shape: tuple[int, ...], what: str) -> None:
+    """Check what a function of some robots returned, which NumPy would otherwise repeat for all.
+
+    Raises:
+        ValueError: if it has another shape.
+    """
+    if np.shape(values) != shape:
+        raise ValueError(f"{what} returned an array of shape {np.shape(values)}; {shape}, a row a robot, is needed")
 
 
 def _numbers(blocks: Sequence[ObservationBlock]) -> tuple[list[str], list[str], list[float]]:

@@ -8,15 +8,21 @@ An observation, measurement or reward term is written once, as an expression::
 Three interpreters read it: NumPy here, which is the reference; C++ (packages/naosprint/cpp/operations.cpp), with the
 same bits; and exported skills (naosprint/export/skills/terms.py), from its description as JSON. Functions have the
 names of NumPy's where it has them.
+
+An expression has no values while it is written. What Python would decide at once by them (``if``, ``and``, ``not``,
+``min``, ``==``, chained comparisons) or loop over raises TypeError, which names the function that does it in every
+step.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, TypeAlias, Union
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, Union
 
 import numpy as np
 
@@ -64,8 +70,10 @@ class Number:
     def __call__(self, rows: slice | IntArray) -> FloatArray:
         """Return the (k, width) numbers of the robots ``rows``."""
         values: list[FloatArray] = []
-        for compute in self._operations:
-            values.append(compute(rows, values))
+        # as in C++, what a function has no value for is NaN or infinite
+        with np.errstate(all="ignore"):
+            for compute in self._operations:
+                values.append(compute(rows, values))
         return values[-1] if values[-1].flags.writeable else values[-1].copy()
 
     @cached_property
@@ -78,14 +86,76 @@ class Number:
         )
 
     def __getitem__(self, columns: int | slice | Sequence[int]) -> Number:
-        """Return some of the numbers."""
+        """Return some of the numbers; negative columns count from the last.
+
+        Raises:
+            IndexError: if there is no such column.
+        """
         if isinstance(columns, slice):
             columns = range(self.width)[columns]
-        chosen = (columns,) if isinstance(columns, int) else tuple(columns)
+        chosen = tuple(map(self._column, columns if isinstance(columns, Iterable) else (columns,)))
+        if not chosen:
+            raise IndexError(f"no column of the {self.width} is chosen")
         if self.function == "source":
             picked = tuple(self.constants[column] for column in chosen)
             return Number("source", (), len(chosen), picked, self.read, self.label)
         return Number("columns", (self,), len(chosen), tuple(map(float, chosen)))
+
+    def _column(self, column: int) -> int:
+        """Return a column's place from the first."""
+        if isinstance(column, bool | np.bool_):
+            raise TypeError("columns are chosen by their places, not by flags; naosprint.terms.where chooses by flags")
+        place = operator.index(column)
+        if not -self.width <= place < self.width:
+            raise IndexError(f"there is no column {place}: the expression has {self.width}, from 0 to {self.width - 1}")
+        return place % self.width
+
+    # what Python would compute at once
+
+    __hash__ = object.__hash__  # by identity, although == is refused
+
+    def __bool__(self) -> NoReturn:
+        raise TypeError(
+            "an expression is neither true nor false before a step: use & for and, | for or, ~ for not, where for if, "
+            "minimum and maximum for min and max, and (low < x) & (x < high) for low < x < high"
+        )
+
+    def __eq__(self, other: object) -> NoReturn:
+        raise TypeError("use naosprint.terms.equal(a, b) for a == b, which no step would compute")
+
+    def __ne__(self, other: object) -> NoReturn:
+        raise TypeError("use ~naosprint.terms.equal(a, b) for a != b, which no step would compute")
+
+    def __iter__(self) -> NoReturn:
+        raise TypeError(
+            "an expression is no sequence: use naosprint.terms.total for its sum, mean for its mean, and x[0], x[1] "
+            "for its columns"
+        )
+
+    def __array__(self, *arguments: object, **options: object) -> NoReturn:
+        raise TypeError(
+            "an expression has no values before a step: use the functions of naosprint.terms in place of NumPy's, such "
+            "as where, clip, stack, total and mean"
+        )
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *operands: Any, **options: object) -> Number:
+        """Apply NumPy's functions of a name that :mod:`naosprint.terms` has, also for an operator after an array."""
+        name = function.__name__
+        if name == "less_equal":
+            name, operands = "greater_equal", operands[::-1]
+        if name not in _ELEMENTWISE + _OWN or method != "__call__" or options:
+            raise TypeError(
+                f"numpy.{name}: an expression has no values before a step; use the functions of naosprint.terms"
+            )
+        return _apply(name, *operands)
+
+    # operators
+
+    def __neg__(self) -> Number:
+        return _apply("multiply", -1.0, self)
+
+    def __abs__(self) -> Number:
+        return _apply("absolute", self)
 
     def __add__(self, other: Operand) -> Number:
         return _apply("add", self, other)
@@ -123,6 +193,9 @@ class Number:
     def __ge__(self, other: Operand) -> Number:
         return _apply("greater_equal", self, other)
 
+    def __le__(self, other: Operand) -> Number:
+        return _apply("greater_equal", other, self)
+
     def __and__(self, other: Number) -> Number:
         return _apply("multiply", self, other)
 
@@ -140,14 +213,31 @@ class Store:
     Stores of a part are computed one after the other, each from the arrays as they are then.
 
     Attributes:
-        target: source of the array.
+        target: source of the array, with all of its columns.
         begin: its value at the start of an episode; None if it stays.
         update: its value after a step; None if it stays.
+
+    Raises:
+        ValueError: if the target is no whole source, or a value has another width.
     """
 
     target: Number
     begin: Number | None = None
     update: Number | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what one of the interpreters would store otherwise than it is written."""
+        target = self.target
+        if target.function != "source" or target.constants != _all_columns(target.array):
+            what = "some columns of a source" if target.function == "source" else f"a {target.function}"
+            raise ValueError(
+                f"Store: its target is {what}, but has to be a whole source; keep the other columns with stack(...)"
+            )
+        for name, value in (("begin", self.begin), ("update", self.update)):
+            if value is not None and not isinstance(value, Number):
+                raise TypeError(f"Store: {name} is {value!r}, but has to be an expression, such as constant(0.0)")
+            if value is not None and value.width not in (1, target.width):
+                raise ValueError(f"Store: {name} has {value.width} numbers for a target of {target.width}")
 
     def apply(self, number: Number | None, rows: slice | IntArray) -> None:
         """Compute ``begin`` or ``update`` with NumPy."""
@@ -168,13 +258,15 @@ def source(array: AnyArray | Callable[[], AnyArray], label: str = "") -> Number:
         label: what a skill calls it; without a name, an observation of it cannot be exported.
     """
     read = array if callable(array) else lambda: array
-    width = int(np.prod(read().shape[1:], dtype=np.int64))
-    return Number("source", (), width, tuple(map(float, range(width))), read, label)
+    columns = _all_columns(read())
+    return Number("source", (), len(columns), columns, read, label)
 
 
 def constant(values: float | Sequence[float]) -> Number:
     """Return numbers that all robots share."""
-    numbers = (float(values),) if isinstance(values, int | float) else tuple(map(float, values))
+    numbers = (float(values),) if isinstance(values, int | float | np.generic) else tuple(map(float, values))
+    if not numbers:
+        raise ValueError("constant: there has to be a number")
     return Number("constant", (), len(numbers), numbers)
 
 
@@ -185,6 +277,8 @@ def given(label: str, number: Number) -> Number:
 
 def stack(*numbers: Operand) -> Number:
     """Return numbers one after the other."""
+    if not numbers:
+        raise ValueError("stack: there has to be a number")
     parts = tuple(map(_number, numbers))
     widths = [part.width for part in parts]
     return Number("stack", parts, sum(widths), tuple(map(float, widths)))
@@ -286,23 +380,50 @@ def wrapped(angle: Number) -> Number:
 
 
 def interpolated(number: Number, at: Sequence[float], values: Sequence[float]) -> Number:
-    """Return a table's value at one number, linearly between ``at``, which increase, and constant beyond them."""
+    """Return a table's value at one number, linearly between ``at``, which increase, and constant beyond them.
+
+    Raises:
+        ValueError: if there are several numbers, or the table is none.
+    """
+    if number.width != 1:
+        raise ValueError(f"interpolated: one number is needed, not {number.width}; interpolate each column, then stack")
+    if len(at) != len(values) or len(at) < 2:
+        raise ValueError(f"interpolated: {len(at)} places for {len(values)} values; there have to be 2 or more of each")
+    if not np.isfinite([*at, *values]).all() or not all(low < high for low, high in pairwise(at)):
+        raise ValueError(f"interpolated: the places {list(map(float, at))} have to increase, and all to be finite")
     return Number("interpolated", (number,), 1, (*map(float, at), *map(float, values)))
 
 
 def product(matrix: Number, columns: Number) -> Number:
     """Return the product of a 3 x 3 matrix, row by row, and 3 x m numbers: a vector, a matrix, or m vectors."""
+    if matrix.width != 9 or columns.width % 3:
+        raise ValueError(f"product: {matrix.width} and {columns.width} numbers, but 9 and a multiple of 3 are needed")
     return Number("product", (matrix, columns), columns.width)
 
 
 def uniform(seed: int, streams: Number, draws: Number, count: int) -> Number:
     """Return ``count`` numbers from [0, 1) of a stream's draw, as :func:`naosprint.terms.randomness.uniform`."""
+    if streams.width != 1 or draws.width != 1 or count < 1:
+        raise ValueError(
+            f"uniform: {count} numbers of {streams.width} streams in {draws.width} draws; one of both is needed, and "
+            "a number or more"
+        )
     return Number("uniform", (streams, draws), count, (float(seed),))
 
 
 def centre_of_mass(angles_deg: Number, address: int, compute: Callable[[FloatArray], FloatArray]) -> Number:
     """Return a robot's centre of mass from its (J,) joint angles in degrees, by functions of its own module."""
     return Number("centre_of_mass", (angles_deg,), 3, address=address, compute=compute)
+
+
+def sources(number: Number) -> Iterator[Number]:
+    """Yield the sources that an expression is computed from."""
+    return (each for each in _in_order(number, {}).values() if each.function == "source")
+
+
+def _all_columns(array: AnyArray) -> tuple[float, ...]:
+    """Return the columns of a whole source."""
+    return tuple(map(float, range(math.prod(array.shape[1:]))))
 
 
 def _number(operand: Operand) -> Number:
@@ -321,8 +442,24 @@ def _apply(function: str, *operands: Operand) -> Number:
 # NumPy's interpreter
 
 
+def _exp(value: float) -> float:
+    try:
+        return math.exp(value)
+    except OverflowError:
+        return math.inf
+
+
+def _log(value: float) -> float:
+    if value > 0.0:
+        return math.log(value)
+    return -math.inf if value == 0.0 else math.nan
+
+
 def _of_the_c_library(function: Callable[..., float], arguments: int) -> Callable[..., AnyArray]:
-    """Return a function of the C library for arrays; NumPy has its own, whose last bit depends on the processor."""
+    """Return a function of the C library for arrays; NumPy has its own, whose last bit depends on the processor.
+
+    Where Python raises an error, the function has to return what C does.
+    """
     each = np.frompyfunc(function, arguments, 1)
     return lambda *values: np.asarray(each(*values), dtype=np.float64)
 
@@ -357,12 +494,13 @@ _ELEMENTWISE = (
     *("add", "subtract", "multiply", "divide", "remainder", "hypot", "sin", "cos", "sqrt"),
     *("absolute", "copysign", "minimum", "maximum", "less", "greater", "greater_equal", "equal"),
 )
+_OWN = ("exp", "log", "arctan2")
 
 FUNCTIONS: Mapping[str, Callable[..., AnyArray]] = {
     "sum": _sum,
     "where": _where,
-    "exp": _of_the_c_library(math.exp, 1),
-    "log": _of_the_c_library(math.log, 1),
+    "exp": _of_the_c_library(_exp, 1),
+    "log": _of_the_c_library(_log, 1),
     "arctan2": _of_the_c_library(math.atan2, 2),
     **{name: getattr(np, name) for name in _ELEMENTWISE},
 }
