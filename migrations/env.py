@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 
 from alembic import context
+from naojobs.connections import bounds
 from naojobs.models import Base
-from sqlalchemy import create_engine, pool
+from sqlalchemy import Connection, create_engine, pool
 
 
 def database_url() -> str:
@@ -17,14 +18,21 @@ def database_url() -> str:
     return "postgresql+psycopg://" + url.split("://", 1)[1]
 
 
+def run(connection: Connection) -> None:
+    """Run the migrations; the transaction of a connection that has begun one is left to its caller."""
+    context.configure(connection=connection, target_metadata=Base.metadata, compare_server_default=True)
+    with context.begin_transaction():
+        context.run_migrations()
+
+
 if context.is_offline_mode():
     context.configure(url=database_url(), target_metadata=Base.metadata, literal_binds=True)
     with context.begin_transaction():
         context.run_migrations()
+elif "connection" in context.config.attributes:
+    run(context.config.attributes["connection"])  # that of naojobs.database.Migration
 else:
-    engine = create_engine(database_url(), poolclass=pool.NullPool)
+    engine = create_engine(database_url(), poolclass=pool.NullPool, connect_args=bounds(database_url()))
     with engine.connect() as connection:
-        context.configure(connection=connection, target_metadata=Base.metadata, compare_server_default=True)
-        with context.begin_transaction():
-            context.run_migrations()
+        run(connection)
     engine.dispose()

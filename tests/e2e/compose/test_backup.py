@@ -24,7 +24,7 @@ def test_a_job_survives_the_loss_of_database_and_store(
 
     project.script("backup", tmp_path / "backup")
     refused = project.script("restore", tmp_path / "backup", check=False)
-    assert refused.returncode == 1 and "has jobs already" in refused.stderr
+    assert refused.returncode == 1 and "in use already" in refused.stderr
     assert naoctl("status", job, "--json") == before
 
     project.compose("down", "--volumes", "--timeout", "20")

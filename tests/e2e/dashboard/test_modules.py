@@ -81,6 +81,23 @@ def test_seeds_are_read_as_list_and_range(page: Browser) -> None:
     assert [type(answer) for answer in got[3:]] == [str] * 5
 
 
+def test_a_setting_that_a_plugin_declares_overrides_no_preset(page: Browser) -> None:
+    """Presets do not change its default: only inherited settings are compared with the preset's values."""
+    got = page.module(
+        """
+        const { field } = await import("/ui/js/schema.js");
+        const { overrides } = await import("/ui/js/views/spec-list.js");
+        const entries = Object.entries(args[0]).map(([name, schema]) => [`task.${name}`, field(name, schema, {})]);
+        const fields = new Map(entries);
+        const preset = { name: "fast", task: { drift_penalty: 1, reward_scale: 100 }, algorithm: {} };
+        const spec = { algorithm: { preset: "fast" }, task: { drift_penalty: 0.05, reward_scale: 10 } };
+        return [...overrides(spec, [preset], "nao", fields)];
+        """,
+        {"drift_penalty": {"type": "number", "default": 0.05, "own": True}, "reward_scale": {"type": "number"}},
+    )
+    assert got == ["task.reward_scale"]
+
+
 def test_numpy_archives_read_as_numpy_wrote_them(page: Browser) -> None:
     rng = np.random.default_rng(3)
     arrays = {

@@ -25,14 +25,16 @@ from naojobs.capabilities import Capabilities, match_task, waiting_reasons
 from naojobs.errors import LeaseLostError
 from naojobs.leases import Lease, MatchClaim
 from naojobs.matches import MatchRequest, StoredGame
-from naojobs.models import Match, Worker
+from naojobs.models import Checkpoint, Match, Worker
 from naojobs.outcomes import lose, succeed, transition
+from naojobs.retention import Retention, prune_checkpoints
 from naojobs.roles import Role
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, game_key
 from naospec import TrainingSpec
 from naosprint.matches.log import GameLog
 from naosprint.matches.results import match_results
+from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -345,6 +347,35 @@ def test_a_match_whose_team_was_deleted_fails_with_the_reason(
     assert claim_work(sessions, Match, match_id, "worker") is None
     match = client.get(f"/matches/{match_id}").json()
     assert (match["state"], match["error"]) == ("failed", "team short was deleted")
+
+
+def test_what_an_open_match_plays_with_is_neither_pruned_nor_deleted(
+    client: httpx.Client, sessions: Sessions, run_job: Callable[..., Lease], save_checkpoint: Callable[..., str]
+) -> None:
+    """Not even after its policy is registered no longer; a running study's start likewise."""
+    lease = run_job(spec=TrainingSpec.model_validate({"task": "velocity", "robot": "t1"}))
+    played, started, *_ = [save_checkpoint(lease, step, {"policy.npz": b"%d" % step}) for step in (1, 2, 3, 4)]
+    body = {"job_id": lease.job_id, "checkpoint_id": played}
+    client.post("/policies/walker/versions", json=body).raise_for_status()
+    match_id = submit(client, "example:walk=walker@1", "example")
+    client.delete("/policies/walker").raise_for_status()
+    job = {"spec": {"task": "velocity", "robot": "t1"}, "parent_job_id": lease.job_id, "parent_checkpoint_id": started}
+    search = {"space": {"n_epochs": {"type": "int", "low": 1, "high": 3}}}
+    study = client.post("/studies", json={"job": job, "search": search}).raise_for_status().json()
+    prune_checkpoints(sessions, lease, Retention(1))
+    with sessions() as session:
+        kept = select(Checkpoint.step).where(Checkpoint.job_id == lease.job_id).order_by(Checkpoint.step)
+        assert session.scalars(kept).all() == [1, 2, 4]
+    transition(sessions, lease, WorkState.CANCELLED)
+    users = [f"match {match_id}", f"study {study['id']}"]
+    for user in users:
+        answer = client.delete(f"/jobs/{lease.job_id}")
+        assert answer.status_code == 409, answer.text
+        assert any(f"{each} uses a checkpoint" in answer.json()["detail"] for each in users)
+        kind, work_id = user.split()
+        path = {"match": "matches", "study": "studies"}[kind]
+        client.post(f"/{path}/{work_id}/cancel").raise_for_status()
+    assert client.delete(f"/jobs/{lease.job_id}").status_code == 204
 
 
 def test_an_alias_requires_that_a_version_does_not_lose(

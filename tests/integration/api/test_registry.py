@@ -13,6 +13,7 @@ import pytest
 from naojobs import outcomes, records
 from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Job
+from naojobs.promotion import MAX_ALIASES
 from naojobs.records import MetricsRow
 from naojobs.retention import Retention, prune_checkpoints
 from naojobs.states import WorkState
@@ -321,13 +322,22 @@ def measure(sessions: Sessions, store: ArtifactStore) -> Callable[..., None]:
     """Record an evaluation with one result and its interval, under some conditions."""
     count = itertools.count(1)
 
-    def measure(lease: Lease, checkpoint_id: str, value: float, *, episodes: int = 200, **conditions: float) -> None:
+    def measure(
+        lease: Lease,
+        checkpoint_id: str,
+        value: float,
+        *,
+        episodes: int = 200,
+        settings: dict[str, Any] | None = None,
+        **conditions: float,
+    ) -> None:
         key = f"jobs/{lease.job_id}/evaluations/{checkpoint_id}-measured-{next(count)}"
         files = [store.put_bytes(f"{key}/replay.json", b'{"frames": []}').model_dump()]
         interval = [value - 0.01, value + 0.01]
         result = {"name": "fall_rate", "title": "Falls", "value": value, "interval": interval, "better": "lower"}
         summary = {"episodes": episodes, "results": [result], "headline": ["fall_rate"], "tables": []}
-        spec = EvaluationSpec(episodes=episodes, task={"name": "sprint1", **conditions} if conditions else None)
+        task = {"name": "sprint1", **conditions} if conditions else None
+        spec = EvaluationSpec(episodes=episodes, task=task, **settings or {})
         records.record_evaluation(
             sessions, lease, checkpoint_id=checkpoint_id, spec=spec, summary=summary, key=key, manifest={"files": files}
         )
@@ -359,13 +369,15 @@ def test_an_alias_requires_results(
     measure(lease, first, 0.01)  # not from such starts
     measure(lease, first, 0.01, episodes=50, **shaken)  # too short
     measure(lease, first, 0.01, start_noise_deg=8.0)  # other conditions
+    measure(lease, first, 0.01, settings={"start_noise_deg": 0.0}, **shaken)  # which replaces that of the task
+    measure(lease, first, 0.01, settings={"confidence": 0.9999}, **shaken)  # whose intervals overlap with any
     bound = "fall_rate <= 0.03 with fall_penalty_m=1.0 start_noise_deg=8.0"
     assert refused(client, name, 1) == (
         f"{name}@1 cannot be best: {bound}: no evaluation of 200 episodes or more says so; run one"
     )
     measure(lease, first, 0.05, **shaken)
     assert refused(client, name, 1) == f"{name}@1 cannot be best: {bound}: it is 0.05"
-    measure(lease, first, 0.02, **shaken)  # the newest counts
+    measure(lease, first, 0.02, settings={"simulator": "embedded"}, **shaken)  # the newest counts
     assert client.put(path, json={"version": 1}).status_code == 200
 
     body = {"job_id": lease.job_id, "checkpoint_id": third, "aliases": ["best"]}
@@ -375,6 +387,21 @@ def test_an_alias_requires_results(
 
     assert client.put(f"{path}/requirements", json={"requirements": []}).json()["requirements"] == {}
     assert client.put(path, json={"version": 2}).status_code == 200
+
+
+def test_a_policy_has_so_many_aliases_at_most(client: httpx.Client, name: str, train: Callable[..., Any]) -> None:
+    lease, (checkpoint,) = train(1024)
+    register(client, name, lease, checkpoint)
+    wanted = {"requirements": [{"result": "fall_rate", "most": 0.1}]}
+    for number in range(MAX_ALIASES):
+        path = f"/policies/{name}/aliases/a{number}"
+        client.put(path, json={"version": 1}).raise_for_status()
+        client.put(f"{path}/requirements", json=wanted).raise_for_status()
+    more = f"/policies/{name}/aliases/more"
+    for path, body in ((more, {"version": 1}), (f"{more}/requirements", wanted)):
+        answer = client.put(path, json=body)
+        assert answer.status_code in (409, 422), answer.text
+        assert f"{MAX_ALIASES}" in answer.json()["detail"]
 
 
 def test_a_successor_is_no_worse(

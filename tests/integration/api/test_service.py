@@ -399,26 +399,34 @@ def test_an_owner_whose_jobs_fill_the_disk_starts_no_more(
         assert client.post("/jobs", json={}).status_code == 201
 
 
-@pytest.mark.parametrize("loop", [("pause", "resume"), ("cancel", "retry")])
+@pytest.mark.parametrize(
+    "loop",
+    [
+        ("jobs", {}, "pause", "resume"),
+        ("jobs", {}, "cancel", "retry"),
+        ("matches", {"teams": ["example", "example"], "games": 1}, "cancel", "retry"),
+    ],
+)
 def test_events_of_a_loop_count(
     start_api: Callable[..., Any],
     make_token: Callable[..., str],
     sessions: sessionmaker[Session],
-    loop: tuple[str, str],
+    loop: tuple[str, dict[str, Any], str, str],
 ) -> None:
-    owner = f"loops-{loop[0]}"
+    kind, body, there, back = loop
+    owner = f"loops-{kind}-{there}"
     headers = {"Authorization": f"Bearer {make_token(owner, 'submit')}"}
     with httpx.Client(base_url=start_api(api_max_rows=20).url, headers=headers, timeout=20) as client:
-        job = client.post("/jobs", json={}).json()["id"]
+        path = f"/{kind}/{client.post(f'/{kind}', json=body).json()['id']}"
         for _ in range(10):
-            client.post(f"/jobs/{job}/{loop[0]}").raise_for_status()
-            answer = client.post(f"/jobs/{job}/{loop[1]}")
+            client.post(f"{path}/{there}").raise_for_status()
+            answer = client.post(f"{path}/{back}")
             if answer.status_code != 200:
                 break
         assert answer.status_code == 429 and "20 rows in the database, of 20" in answer.json()["detail"]
-        client.post(f"/jobs/{job}/cancel").raise_for_status()
-        assert client.delete(f"/jobs/{job}").status_code == 204
-        assert client.post("/jobs", json={}).status_code == 201, "deleting it gives room again"
+        client.post(f"{path}/cancel").raise_for_status()
+        assert client.delete(path).status_code == 204
+        assert client.post(f"/{kind}", json=body).status_code == 201, "deleting it gives room again"
 
 
 def test_figures_for_prometheus(client: httpx.Client, admin: httpx.Client, start_api: Callable[..., Any]) -> None:

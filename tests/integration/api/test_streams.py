@@ -6,7 +6,7 @@ import json
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from itertools import islice
 from typing import Any
 
@@ -20,7 +20,7 @@ from naojobs.models import Job
 from naojobs.states import WorkState
 from naojobs.tokens import Scope, create_token, revoke
 from naosprint_api import broadcast
-from sqlalchemy import text
+from sqlalchemy import func, select, text
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -182,6 +182,36 @@ def test_followers_hear_of_more_jobs_than_fit_into_one_read(
                 break
     with sessions.begin() as session:
         session.execute(text("DELETE FROM jobs WHERE 'many' = ANY(tags)"))
+
+
+@pytest.mark.parametrize("returns", [False, True])
+def test_followers_hear_of_changes_after_the_databases_clock_was_set_back(
+    client: httpx.Client, sessions: Sessions, follow: Any, monkeypatch: pytest.MonkeyPatch, returns: bool
+) -> None:
+    """Also one that returns with an id of before; what is then heard has an id to return with."""
+    monkeypatch.setattr(broadcast, "_IDLE_S", 60.0)  # longer than the client waits
+    before, after = (client.post("/jobs", json={}).json()["id"] for _ in range(2))
+
+    def change(job_id: str, ahead: timedelta) -> datetime:
+        with sessions.begin() as session:
+            at: datetime = session.scalars(select(func.now() + ahead)).one()
+            session.get_one(Job, job_id).updated_at = at
+            notify(session, job_id)
+        return at
+
+    last_id = (datetime.now(UTC) + timedelta(hours=1)).isoformat() if returns else None
+    with follow(client, "/jobs/stream", last_id=last_id) as messages:
+        ids = [next(messages).id]
+        for job_id, ahead in ((before, timedelta(hours=1)), (after, timedelta())):
+            at = change(job_id, ahead)
+            while (news := next(messages)).data["id"] != job_id or datetime.fromisoformat(
+                news.data["updated_at"]
+            ) != at:
+                pass
+            ids.append(news.id)
+    with sessions() as session:
+        now = session.scalars(select(func.now())).one()
+    assert all(now - timedelta(minutes=1) < datetime.fromisoformat(each) <= now for each in ids)
 
 
 @pytest.mark.parametrize("path", ["/jobs/stream", "/jobs/{job}/stream"])

@@ -30,6 +30,7 @@ from naojobs.settings import ServiceSettings
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, StoreManifest
 from naojobs.submission import JobRequest
+from naojobs.tokens import Scope, create_token, list_tokens
 from naosprint_worker.sink import JobSink
 
 from tests.integration.attempts import claim_work
@@ -41,7 +42,7 @@ DOCKER = """#!/bin/sh
 shift
 while [ "$1" = --profile ]; do shift 2; done
 echo "$*" >>"$CALLS"
-case "$*" in *"$BREAK_AT"*) test -z "$BREAK_AT" || kill -9 0 ;; esac
+case "$*;" in *"$BREAK_AT"*) test -z "$BREAK_AT" || kill -9 0 ;; esac
 verb=$1
 case $verb in
   exec) shift 3 ;;
@@ -71,7 +72,9 @@ for argument; do
 done
 exec "$program" "$@"
 """
-"""Runs in this place what `docker compose` would run in a container; `break_at` kills the script at that command."""
+"""Runs in this place what `docker compose` would run in a container; `break_at` kills the script at a command that
+contains it, with a semicolon for its end.
+"""
 
 
 class Place:
@@ -207,7 +210,7 @@ def test_checkpoints_that_are_pruned_during_a_backup_are_in_it(
     assert other.checkpoints() == before
     assert not backups.in_progress(other.sessions)
     again, output = other.run("restore", tmp_path / "backup")
-    assert (again, "has jobs already" in output) == (1, True)
+    assert (again, "in use already" in output) == (1, True)
 
 
 def test_a_restore_that_is_killed_leaves_nothing_and_can_be_repeated(
@@ -219,7 +222,7 @@ def test_a_restore_that_is_killed_leaves_nothing_and_can_be_repeated(
     code, output = place.run("backup", tmp_path / "backup")
     assert code == 0, output
     other = make_place("other", migrated=False)
-    for command in ("stop ", "artifacts import", "pg_restore", "naojobs restore"):
+    for command in ("pg_restore", "restore --check;", "stop ", "artifacts import", "naojobs restore;"):
         code, _ = other.run("restore", tmp_path / "backup", break_at=command)
         assert code == -signal.SIGKILL, command
         with psycopg.connect(other.url) as connection:
@@ -291,6 +294,26 @@ def test_a_restore_runs_nothing_that_a_worker_has_defined(
             made = connection.execute("SELECT FROM pg_class WHERE relnamespace = 'optuna'::regnamespace").rowcount
             of_tables = "SELECT DISTINCT tableowner FROM pg_tables WHERE schemaname = 'public'"
             assert (made, connection.execute(of_tables).fetchall()) == (0, [(Role.OWNER,)])
+
+
+def test_a_dump_that_is_cut_off_is_found_before_anything_is_stopped(
+    source: tuple[Place, JobSink, Callable[[int], None]], make_place: Callable[..., Place], tmp_path: Path
+) -> None:
+    place, _, save = source
+    save(100)
+    code, output = place.run("backup", tmp_path / "backup")
+    assert code == 0, output
+    dump = tmp_path / "backup" / "database.dump"
+    content = dump.read_bytes()
+    dump.write_bytes(content[: content.rindex(b"x\x9c") + 4])  # in the compressed rows of the last table
+    other = make_place("other")
+    create_roles(other.url, {})
+    token_id, _ = create_token(other.sessions, name="naoctl up", owner="root", scopes=[Scope.ADMIN])
+    code, output = other.run("restore", tmp_path / "backup")
+    assert (code, "the dump is cut off" in output, "nothing was restored" in output) == (1, True, True), output
+    assert " stop " not in other.calls.read_text(encoding="utf-8")
+    assert [token.id for token in list_tokens(other.sessions)] == [token_id]
+    assert other.store.list("jobs") == []
 
 
 def test_a_restore_refuses_while_a_worker_is_connected(

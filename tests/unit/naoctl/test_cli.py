@@ -161,6 +161,30 @@ def test_a_job_can_be_named_in_several_ways(server: Any, naoctl: Callable[..., R
     assert json.loads(naoctl("status", reference, "--json").out)["id"] == job()["id"]
 
 
+def test_broken_plugins_of_others_stop_no_command(
+    broken: Path, server: Any, naoctl: Callable[..., Ran], job: Jobs
+) -> None:
+    """A job of a task that is broken here is described by the service."""
+    jobs = [job(), job(spec={**job()["spec"], "task": {"name": "dives"}})]
+    server.on("GET", "/jobs")(lambda request: request.json({"items": jobs, "next_cursor": None}))
+    server.on("GET", "/tasks")(lambda request: request.json([]))
+    assert naoctl("list").code == 0
+    assert naoctl("spec").code == 0
+    assert naoctl("submit", "--help").code == 0
+    refused = naoctl("submit", "--task", "sinks")
+    assert refused.code == ExitCode.FAILURE
+    assert refused.err.splitlines()[-1].startswith("naoctl: sinks: package sinking offers it as ")
+
+
+def test_shells_show_no_warnings_while_they_complete(broken: Path) -> None:
+    question = {"_NAOCTL_COMPLETE": "complete_bash", "COMP_WORDS": "naoctl sub", "COMP_CWORD": "1"}
+    program = Path(sys.executable).parent / "naoctl"
+    for words, shown in ((question, False), ({}, True)):
+        environment = {**os.environ, "PYTHONPATH": str(broken), **words}
+        ran = subprocess.run([program, "--version"], env=environment, capture_output=True, text=True, check=True)
+        assert ("left out: sinks" in ran.stderr) is shown
+
+
 def test_a_list_is_sorted_by_any_column(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
     jobs = [
         job(name=name, latest_metrics=metrics) for name, metrics in (("a", {"x": 1.0}), ("b", {}), ("c", {"x": 3.0}))

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, get_args
 
 import pytest
 import typer
+from naoctl.cli import build_app
+from naoctl.commands.studies import make_search, tune
+from naoctl.commands.submit import make_group, submit
 from naoctl.errors import ExitCode, InvalidInput
 from naoctl.specflags import (
     build,
@@ -16,8 +20,12 @@ from naoctl.specflags import (
     training_settings,
     with_parameters,
 )
-from naospec import EvaluationSpec, TrainingSpec, flat
+from naospec import EvaluationSpec, TrainingSpec, flat, plugins
+from typer.models import OptionInfo
 from typer.testing import CliRunner
+
+ALIASES = (["steps"],)
+"""Further flags of settings."""
 
 
 def command_with_flags() -> tuple[typer.Typer, list[dict[str, Any]]]:
@@ -52,6 +60,41 @@ def test_every_setting_of_the_specification_has_a_flag() -> None:
     assert paths >= expected | {("total_steps",), ("seed",)}
     names = {parameter.name for parameter in spec_parameters(training_settings(), panel="x")}
     assert names == set(training_settings())
+
+
+@pytest.mark.parametrize("command", [submit, tune])
+def test_settings_of_plugins_take_no_option_of_the_commands(command: Callable[..., None]) -> None:
+    """Neither the flag nor the parameter; flags of evaluations begin with ``eval_``."""
+    words = {name for names in ALIASES for name in names}
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        declared = [each for each in get_args(parameter.annotation) if isinstance(each, OptionInfo)]
+        flags = [flag for option in declared for flag in option.param_decls or () if flag.startswith("--")]
+        names = [name.lstrip("-").replace("-", "_") for flag in flags for name in flag.split("/")]
+        words |= {parameter.name, *(name for name in names if not name.startswith("no_"))}
+    assert words <= flat.OPTIONS
+
+
+def test_a_plugins_setting_is_reached_under_its_prefixed_name(
+    install: Callable[[str, str, Mapping[str, str]], None],
+) -> None:
+    """By flags, grids and spaces alike; the name alone means what it meant before."""
+    fields = "\n".join(
+        f"    {name}: int = Field(default=1, ge=0, le=9, title='A', description='A.')" for name in ("seed", "watch")
+    )
+    code = (
+        "from naosprint.tasks import Task, TaskSettings\nfrom pydantic import Field\n\n\n"
+        f"class Own(TaskSettings):\n{fields}\n\n\n"
+        "class strays(Task[Own]):\n    name = summary = 'strays'\n    Parameters = Own\n"
+    )
+    install("straying", code, {"strays": plugins.TASKS})
+    build_app()  # every command has its options
+    spec = spec_of({"task": "strays", "seed": "5", "task_seed": "3", "task_watch": "4"})
+    assert (spec.seed, spec.task.seed, spec.task.watch) == (5, 3, 4)  # type: ignore[attr-defined]
+    body = {"spec": {"task": {"name": "strays"}}}
+    grid = make_group(body, None, ["task_seed=2,3", "seed=1,2"])
+    assert grid is not None and grid["grid"] == {"task_seed": [2, 3], "seed": [1, 2]}
+    search = make_search(["task-seed=2..3", "seed=1..5"], [])
+    assert set(search["space"]) == {"task_seed", "seed"}
 
 
 def test_help_shows_each_field_with_its_description_and_bounds() -> None:

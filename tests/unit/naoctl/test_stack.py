@@ -488,10 +488,86 @@ def test_data_of_an_unknown_postgres_is_refused(layout: Layout) -> None:
     layout.postgres.mkdir()
     newest = find_programs(layout.postgres)
     (layout.postgres / "PG_VERSION").write_text("9\n")
-    assert find_programs(layout.postgres) == newest  # an interrupted initdb: made again
-    (layout.postgres / ".finished").touch()
-    with pytest.raises(StackError, match="is of Postgres 9"):
-        find_programs(layout.postgres)
+    assert find_programs(layout.postgres) == newest  # no cluster yet
+    (layout.postgres / "global").mkdir()
+    (layout.postgres / "global" / "pg_control").touch()
+    for text, shown in (("9\n", "9"), ("", "")):
+        (layout.postgres / "PG_VERSION").write_text(text)
+        with pytest.raises(StackError, match=f"is of Postgres {shown},"):
+            find_programs(layout.postgres)
+
+
+def fail(*_arguments: str) -> None:
+    raise StackError("initdb failed")
+
+
+def test_a_copy_of_a_cluster_without_its_mark_is_used(
+    supervisor: tuple[StackSupervisor, list[str]], layout: Layout, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as one of `cp -r postgres/* ...`, which leaves files out whose names begin with a dot."""
+    postgres = Postgres(layout, "secret")
+    leftover = layout.root / "postgres.part" / "global" / "pg_control"  # of a start that was interrupted
+    leftover.parent.mkdir(parents=True)
+    leftover.touch()
+    layout.postgres.mkdir()  # as an earlier version left it there
+    with monkeypatch.context() as patch:
+        patch.setattr(postgres, "_run", fail)
+        with pytest.raises(StackError, match="initdb failed"):
+            postgres.make()
+    assert not postgres.is_made
+    postgres.make()
+    assert postgres.is_made
+    assert not leftover.parent.parent.exists()
+    running = supervisor[0]
+
+    def ask(statement: str) -> str:
+        """Start the server, ask it and stop it."""
+        postgres.make()
+        with running._signals():
+            running._launch(running._postgres_program(postgres))
+            try:
+                running._await_ready("postgres")
+                postgres.ensure_database()
+                return postgres._psql(statement)
+            finally:
+                running.children["postgres"].stop_now()
+
+    ask("CREATE TABLE kept (x integer); INSERT INTO kept VALUES (7)")
+    (layout.postgres / ".finished").unlink()
+    assert Postgres(layout, "secret").is_made
+    assert ask("SELECT x FROM kept").strip() == "7"
+    assert (layout.postgres / ".finished").exists(), "earlier versions would delete it"
+
+
+@pytest.mark.parametrize(
+    ("files", "reason"),
+    [
+        (["my notes.txt"], "has no global/pg_control"),
+        (["PG_VERSION", "base/1/PG_VERSION", "base/16384/2619"], "has no global/pg_control"),
+        (["PG_VERSION", "base/1/PG_VERSION", "global/pg_control"], "it has 1 of 3 databases"),
+    ],
+)
+def test_a_data_folder_that_cannot_be_used_stays_as_it_is(layout: Layout, files: list[str], reason: str) -> None:
+    postgres = Postgres(layout, "secret")
+    for name in files:
+        path = layout.postgres / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    with pytest.raises(StackError, match=reason) as caught:
+        postgres.make()
+    assert caught.value.fix is not None and "from a copy" in caught.value.fix
+    found = [path.relative_to(layout.postgres).as_posix() for path in layout.postgres.rglob("*") if path.is_file()]
+    assert sorted(found) == sorted(files)
+
+
+def test_no_new_passwords_are_made_for_a_database(layout: Layout) -> None:
+    read_secrets(layout)
+    (layout.postgres / "global").mkdir(parents=True)
+    (layout.postgres / "global" / "pg_control").touch()
+    layout.secrets.unlink()
+    with pytest.raises(StackError, match="is missing: it has the password"):
+        read_secrets(layout)
+    assert not layout.secrets.exists()
 
 
 def test_postgres_locks_of_a_power_cut_are_cleared(

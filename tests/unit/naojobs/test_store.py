@@ -58,6 +58,15 @@ def test_a_folder_comes_back_as_it_was(store: ArtifactStore, folder: Path, tmp_p
         assert hashlib.sha256(content).hexdigest() == entry.sha256
 
 
+@pytest.mark.parametrize("name", ["gone", "in/sub/none"])
+def test_no_files_are_no_artifact(store: ArtifactStore, folder: Path, name: str) -> None:
+    """Otherwise a checkpoint whose folder somebody has deleted would count as stored."""
+    (folder / "sub" / "none").mkdir()
+    with pytest.raises(FileNotFoundError, match="there is no file to store"):
+        store.put_directory("jobs/j/checkpoints/1", folder.parent / name)
+    assert store.list("jobs") == []
+
+
 def test_without_its_manifest_an_artifact_is_not_there(
     store: ArtifactStore, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,6 +7,7 @@ import logging
 import os
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
 import pytest
 from naosim import robots
@@ -60,6 +61,14 @@ def test_a_worker_without_servers_offers_what_it_can_embed(environment: pytest.M
     assert offered() == list(robots.names())
     environment.setattr(world.metadata, "version", lambda name: "3.4.0")
     assert "t1" not in offered() and "nao-0" in offered()
+
+
+def test_a_worker_offers_what_can_be_used(broken: Path, environment: pytest.MonkeyPatch) -> None:
+    """Broken plug-ins of others keep it from nothing else."""
+    environment.setenv("NAOSPRINT_WORKER_QUEUES", "embedded")
+    found = installed_capabilities(WorkerSettings())  # type: ignore[call-arg]
+    assert "t1" in found.robots and "limps" not in found.robots
+    assert "sprint1" in found.tasks and not {"sinks", "dives"} & found.tasks.keys()
 
 
 def test_trainings_find_both_servers(environment: pytest.MonkeyPatch) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import io
+import logging
+import os
 import sys
 from typing import Annotated
 
 import typer
+from naospec import plugins
 from naospec.proxies import exempt_loopback
 
 from naoctl import __version__
@@ -122,6 +125,8 @@ def main(arguments: list[str] | None = None) -> None:
     words = sys.argv[1:] if arguments is None else arguments
     as_json = "--json" in words
     exempt_loopback()
+    if any(name.endswith("_COMPLETE") for name in os.environ):  # a shell asks how a line could end
+        logging.disable()  # a warning would appear in this line
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # what the terminal's character set has not
@@ -130,6 +135,9 @@ def main(arguments: list[str] | None = None) -> None:
     except CliError as error:
         report(error, as_json=as_json)
         code = error.code
+    except plugins.BrokenPluginError as error:
+        report(CliError(str(error)), as_json=as_json)
+        code = ExitCode.FAILURE
     except OSError as error:  # a disk that is full, a folder that may not be written, a name that is too long
         report(
             CliError(f"{error.strerror or error}: {error.filename}" if error.filename else str(error)), as_json=as_json

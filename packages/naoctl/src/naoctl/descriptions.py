@@ -46,8 +46,8 @@ class Descriptions:
 
     def task(self, name: str) -> dict[str, Any]:
         """Return a task's description; empty if neither this installation nor the service has one."""
-        if name in plugins.names(plugins.TASKS):
-            described: dict[str, Any] = plugins.load(plugins.TASKS, name).describe()
+        if (task := plugins.find(plugins.TASKS, name)) is not None:
+            described: dict[str, Any] = task.describe()
             return described
         if self._remote is None:
             self._remote = {} if self._client is None else {item["name"]: item for item in self._client.get("/tasks")}

@@ -16,7 +16,7 @@ from naojobs import backups
 from naojobs.archive import export_artifacts, import_artifacts, verify_artifacts
 from naojobs.database import Sessions, downgrade, make_engine, make_sessions, upgrade
 from naojobs.errors import JobError
-from naojobs.retention import DEFAULT_AGE_S, find_orphans, sweep
+from naojobs.retention import DEFAULT_AGE_S, adopt, find_orphans, sweep
 from naojobs.roles import RoleSettings, create_roles
 from naojobs.settings import SETTINGS_ERRORS, DatabaseSettings, ServiceSettings, settings_words
 from naojobs.store import ArtifactStore, StoreError
@@ -35,8 +35,9 @@ def _parser() -> argparse.ArgumentParser:
     migrate.add_argument("--directory", type=Path, default=Path("migrations"), help="folder of the migrations")
 
     restore = commands.add_parser(
-        "restore", help="load what `pg_restore --data-only --schema=public` writes into a database without jobs"
+        "restore", help="load what `pg_restore --data-only --schema=public` writes into a database that is not in use"
     )
+    restore.add_argument("--check", action="store_true", help="only check the dump and the database")
     restore.add_argument("--directory", type=Path, default=Path("migrations"), help="folder of the migrations")
 
     commands.add_parser("roles", help="make the database's roles with least rights; needs a superuser")
@@ -64,6 +65,8 @@ def _parser() -> argparse.ArgumentParser:
     sweep = verbs.add_parser("sweep", help="delete files that no job refers to")
     sweep.add_argument("--hours", type=float, default=DEFAULT_AGE_S / 3600, help="only files this old (default: 24)")
     sweep.add_argument("--dry-run", action="store_true", help="only list the files")
+
+    verbs.add_parser("adopt", help="make the store this service's, also if another one has used it")
 
     backup = commands.add_parser("backup", help="announce a backup: while one is made, no file is deleted")
     backups_verbs = backup.add_subparsers(dest="verb", required=True)
@@ -100,8 +103,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         change(settings.sqlalchemy_url, migrations, arguments.revision)
         return 0
     if arguments.command == "restore":
+        migrations = arguments.directory.resolve()
         try:
-            counts = backups.restore(settings.sqlalchemy_url, arguments.directory.resolve(), sys.stdin.buffer)
+            if arguments.check:
+                backups.check_restore(settings.sqlalchemy_url, migrations, sys.stdin.buffer)
+                return 0
+            counts = backups.restore(settings.sqlalchemy_url, migrations, sys.stdin.buffer)
         except JobError as error:
             sys.stderr.write(f"{error}\n")
             return 1
@@ -167,6 +174,8 @@ def _artifacts(arguments: argparse.Namespace, sessions: Sessions, store: Artifac
     if arguments.verb == "import":
         with arguments.file.open("rb") if arguments.file is not None else nullcontext(sys.stdin.buffer) as source:
             return {"files": import_artifacts(store, source)}
+    if arguments.verb == "adopt":
+        return {"since": adopt(sessions, store, force=True)}
     age_s = arguments.hours * 3600
     found = find_orphans(sessions, store, age_s=age_s) if arguments.dry_run else sweep(sessions, store, age_s=age_s)
     return {"deleted": not arguments.dry_run, "prefixes": list(found)}

@@ -19,9 +19,11 @@ import psycopg
 from psycopg import sql
 from sqlalchemy import delete, func, select, text, update
 
-from naojobs.database import Sessions, downgrade, upgrade
+from naojobs.connections import bounds
+from naojobs.database import Sessions, alembic_config, migration
 from naojobs.errors import InvalidError, NotFoundError
-from naojobs.models import Backup, Generation
+from naojobs.models import Backup, Base, Generation
+from naojobs.roles import grant_rights
 
 LONGEST = timedelta(days=1)
 """Age of an unfinished backup at which it counts as broken off."""
@@ -37,6 +39,20 @@ _END_OF_DATA, _COMPLETE = b"\\.\n", "-- PostgreSQL database dump complete"
 _OWN = frozenset({"alembic_version", "generations", "lease_clocks"})
 """Tables whose rows a restored database has of its own."""
 
+_OF_SERVICE = _OWN | {"services", "workers", "backups"}
+"""Tables that have rows of a service which nobody has used: migrations, workers and backups write them."""
+
+_USERS_TOKENS = sql.SQL("""
+to_jsonb(item) -> 'revoked_at' = 'null' AND coalesce((to_jsonb(item) ->> 'expires_at')::timestamptz > now(), true)
+AND to_jsonb(item) -> 'scopes' ?| ARRAY['read', 'submit']
+""")
+"""Condition of valid tokens of users. Those of the installation control it, or read its metrics; a service that nobody
+has used has such.
+"""
+
+_OF_DUMPS = (psycopg.DataError, psycopg.IntegrityError, psycopg.errors.UndefinedTable)
+"""Errors that a dump causes: rows that break a rule of their table, a sequence that does not exist."""
+
 _FOREIGN_KEYS = """
 SELECT conrelid::regclass::text, conname FROM pg_constraint
 WHERE contype = 'f' AND connamespace = 'public'::regnamespace AND NOT condeferrable
@@ -45,9 +61,10 @@ WHERE contype = 'f' AND connamespace = 'public'::regnamespace AND NOT condeferra
 
 
 def restore(url: str, migrations: Path, source: BinaryIO) -> dict[str, int]:
-    """Load a dump's data into a database without jobs; return the number of rows of each table.
+    """Load a dump's data into a database that is not in use; return the number of rows of each table.
 
-    The migrations make the tables, at the dump's revision and then at this version's. All data is one transaction.
+    The migrations make the tables, at the dump's revision and then at this version's. All of it is one transaction: a
+    dump that cannot be used, or a restore that is broken off, leaves the tables and rows from before.
 
     Args:
         url: the database (postgresql+psycopg://...), as the owner of its tables.
@@ -55,26 +72,89 @@ def restore(url: str, migrations: Path, source: BinaryIO) -> dict[str, int]:
         source: what `pg_restore --data-only --schema=public` writes of the dump.
 
     Raises:
-        InvalidError: the database has jobs, or the dump is incomplete, of another program or of a newer version.
+        InvalidError: the database is in use, or the dump is incomplete, of another program or of a newer version.
     """
+    lines, revision = _begin(url, migrations, source)
+    with migration(url, migrations) as change:
+        if _refuse_used(change.driver, url, migrations, lock=True):
+            change.downgrade("base")
+        change.upgrade(revision)
+        try:
+            counts = _load(change.driver, lines)
+        except _OF_DUMPS as error:
+            table, words = error.diag.table_name or lines.table, error.diag.message_primary
+            raise InvalidError(f"the database refuses what the dump has of table {table} ({words})", "dump") from None
+        change.upgrade()
+        grant_rights(change.driver)
+    return counts
+
+
+def check_restore(url: str, migrations: Path, source: BinaryIO) -> None:
+    """Check that a database is not in use and that a dump is whole, without a change to anything.
+
+    Raises:
+        InvalidError: as `restore` would; only that finds rows which the tables do not take.
+    """
+    lines, _ = _begin(url, migrations, source)
+    with psycopg.connect(f"postgresql://{url.split('://', 1)[1]}", **bounds(url)) as connection:
+        _refuse_used(connection, url, migrations)
+    while lines.next_copy() is not None:
+        for _row in lines.rows():
+            pass
+
+
+def _begin(url: str, migrations: Path, source: BinaryIO) -> tuple[_Lines, str]:
+    """Return a dump behind its revision, and the revision. Raises InvalidError if this version does not know it."""
     lines = _Lines(source)
     if lines.next_copy() is None or lines.table != "alembic_version":
         raise InvalidError("the dump does not begin with its revision; write it with pg_restore --data-only", "dump")
-    (revision,) = (row.decode().strip() for row in lines.rows())
-    libpq = f"postgresql://{url.split('://', 1)[1]}"
-    with psycopg.connect(libpq, connect_timeout=5) as connection:
-        if connection.execute("SELECT to_regclass('public.jobs')").fetchone() != (None,):
-            if connection.execute("SELECT EXISTS (SELECT FROM public.jobs)").fetchone() == (True,):
-                raise InvalidError("this database has jobs already; restore into an empty one", "database")
-            connection.rollback()
-            downgrade(url, migrations, "base")
-    if not (migrations / "versions").is_dir() or not list((migrations / "versions").glob(f"{revision}_*.py")):
-        raise InvalidError(f"the dump has revision {revision!r}, which this version does not know", "dump")
-    upgrade(url, migrations, revision)
-    with psycopg.connect(libpq, connect_timeout=5) as connection:
-        counts = _load(connection, lines)
-    upgrade(url, migrations)
-    return counts
+    found = [row.decode("utf-8", "replace").strip() for row in lines.rows()]
+    if len(found) != 1 or found[0] not in _revisions(url, migrations):
+        names = ", ".join(map(repr, found)) or "none"
+        raise InvalidError(f"the dump has revision {names}, which this version does not know", "dump")
+    return lines, found[0]
+
+
+def _revisions(url: str, migrations: Path) -> set[str]:
+    from alembic.script import ScriptDirectory
+
+    scripts = ScriptDirectory.from_config(alembic_config(url, migrations))
+    return {script.revision for script in scripts.walk_revisions()}
+
+
+def _refuse_used(connection: psycopg.Connection, url: str, migrations: Path, *, lock: bool = False) -> bool:
+    """Return whether a database has tables.
+
+    Args:
+        connection: to the database.
+        url: its address.
+        migrations: folder of the migrations.
+        lock: keep others from the tables until the end of the transaction, so that the answer stays true.
+
+    Raises:
+        InvalidError: they have rows that a restore would replace, or are those of a newer version.
+    """
+    of_public = "SELECT tablename FROM pg_tables WHERE schemaname = 'public'"
+    made = {name for (name,) in connection.execute(of_public)}
+    tables = {name: sql.Identifier("public", name) for name in sorted(made & set(Base.metadata.tables))}
+    if lock and tables:
+        connection.execute(sql.SQL("LOCK TABLE {}").format(sql.SQL(", ").join(tables.values())))
+    if "alembic_version" in made:
+        for (revision,) in connection.execute("SELECT version_num FROM public.alembic_version").fetchall():
+            if revision not in _revisions(url, migrations):
+                raise InvalidError(f"a newer version has migrated this database (revision {revision})", "database")
+    used = []
+    for name, table in tables.items():
+        where = _USERS_TOKENS if name == "tokens" else sql.SQL("true")
+        statement = sql.SQL("SELECT EXISTS (SELECT FROM {} AS item WHERE {})").format(table, where)
+        if name not in _OF_SERVICE and connection.execute(statement).fetchone() == (True,):
+            used.append(name)
+    if used:
+        raise InvalidError(
+            f"this database is in use already: it has rows in {', '.join(used)}; restore into an empty one",
+            "database",
+        )
+    return bool(tables)
 
 
 def _load(connection: psycopg.Connection, lines: _Lines) -> dict[str, int]:
@@ -97,6 +177,10 @@ def _load(connection: psycopg.Connection, lines: _Lines) -> dict[str, int]:
             for _ in lines.rows():
                 pass
             continue
+        if table in counts:
+            raise InvalidError(f"the dump has table {table} twice", "dump")
+        # Rows of the migrations, such as the key of the service: those of the dump replace them.
+        connection.execute(sql.SQL("DELETE FROM {}").format(sql.Identifier("public", table)))
         names = sql.SQL(", ").join(map(sql.Identifier, columns))
         statement = sql.SQL("COPY {} ({}) FROM STDIN").format(sql.Identifier("public", table), names)
         with connection.cursor() as cursor:

@@ -65,6 +65,7 @@ def add_event(session: Session, work: AnyWork, kind: str, message: str, data: Ma
         work.row_count += 1
         session.add(event)
     else:
+        work.row_count += 1
         session.add(MatchEvent(match_id=work.id, kind=kind, attempt=work.attempt, message=message))
     notify(session, work.job_id)
     announce(session, work, kind)

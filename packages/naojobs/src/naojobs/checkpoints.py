@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Select, and_, select
 from sqlalchemy.orm import Session, aliased
 
 from naojobs.database import Sessions
-from naojobs.models import Checkpoint, Job
+from naojobs.models import Checkpoint, Job, Match, Study, StudyState
 from naojobs.states import OPEN
 
 
@@ -45,6 +45,22 @@ def newest_checkpoint(session: Session, job_id: str) -> Checkpoint | None:
 def trained_checkpoint(session: Session, job_id: str) -> Checkpoint | None:
     """Return the newest checkpoint behind step 0, whose weights are random; none if the job has none."""
     return session.scalar(newest_first(job_id).where(Checkpoint.step > 0).limit(1))
+
+
+def in_use(session: Session) -> dict[str, str]:
+    """Return the ids of the checkpoints that open matches play with or trials of running studies start from.
+
+    Returns:
+        The match or study by checkpoint: "match match_...".
+    """
+    used: dict[str, str] = {}
+    for match_id, teams in session.execute(select(Match.id, Match.spec["teams"]).where(Match.state.in_(OPEN))):
+        used |= {policy: f"match {match_id}" for team in teams for policy in team.get("policies", {}).values()}
+    parent = Study.job["parent_checkpoint_id"].as_string()
+    for study_id, checkpoint in session.execute(select(Study.id, parent).where(Study.state == StudyState.RUNNING)):
+        if checkpoint is not None:
+            used[checkpoint] = f"study {study_id}"
+    return used
 
 
 @cache

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import psycopg
 from pydantic_core import PydanticSerializationError, from_json, to_json
-from sqlalchemy import ColumnElement, Engine, create_engine, event, func, or_, text
+from sqlalchemy import ColumnElement, Connection, Engine, create_engine, event, func, or_, text
 from sqlalchemy.exc import InvalidatePoolError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session, SessionTransaction, sessionmaker
-from sqlalchemy.pool import ConnectionPoolEntry
+from sqlalchemy.pool import ConnectionPoolEntry, NullPool
+
+from naojobs.connections import bounds
 
 # Alembic is imported where it is used: every trainer imports this module and none migrates.
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ _NOTIFY = text(
     "FROM unnest(CAST(:changed AS text[])) AS job"
 )
 
-REVISION = "0028"
+REVISION = "0029"
 """The revision of the schema that this code is written for."""
 
 _MIGRATION_LOCK = 0x6E616F
@@ -64,7 +66,8 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
     """Return an engine for `url` (postgresql+psycopg://...).
 
     A statement may take 30 s and wait for a lock 10 s, so that a stuck transaction of one process cannot block the
-    others; a connection that a restart of Postgres has cut is replaced when it is taken from the pool.
+    others; a connection that a restart of Postgres has cut is replaced when it is taken from the pool, and one to a
+    host that does not acknowledge what it is sent fails after 20 s.
     """
     engine = create_engine(
         url,
@@ -77,10 +80,7 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
         json_serializer=_json,
         connect_args={
             "application_name": application_name,
-            "connect_timeout": 5,
-            "keepalives_idle": 10,
-            "keepalives_interval": 5,
-            "keepalives_count": 3,
+            **bounds(url),
             "options": "-c statement_timeout=30000 -c lock_timeout=10000 "
             "-c idle_in_transaction_session_timeout=30000 -c timezone=UTC",
         },
@@ -257,31 +257,62 @@ def alembic_config(url: str, migrations: Path) -> Config:
     return config
 
 
+class Migration:
+    """Migrations and what is done between them, in one transaction: all of it is kept, or nothing.
+
+    Args:
+        connection: where the transaction has begun.
+        config: where the scripts are.
+    """
+
+    def __init__(self, connection: Connection, config: Config) -> None:
+        self._connection = connection
+        self._config = config
+        config.attributes["connection"] = connection  # migrations/env.py takes it
+
+    @property
+    def driver(self) -> psycopg.Connection[Any]:
+        """The transaction's connection."""
+        driver = self._connection.connection.driver_connection
+        assert isinstance(driver, psycopg.Connection)
+        return driver
+
+    def upgrade(self, revision: str = "head") -> None:
+        """Upgrade the schema to `revision`."""
+        from alembic import command
+
+        command.upgrade(self._config, revision)
+
+    def downgrade(self, revision: str) -> None:
+        """Downgrade the schema to `revision`; `base` deletes all tables."""
+        from alembic import command
+
+        command.downgrade(self._config, revision)
+
+
 @contextmanager
-def _migration_lock(url: str) -> Iterator[None]:
-    engine = create_engine(url, connect_args={"connect_timeout": 5})
+def migration(url: str, migrations: Path) -> Iterator[Migration]:
+    """Begin a transaction with migrations, and end it; another one of the same database waits for it."""
+    options = {**bounds(url), "prepare_threshold": None}  # plans do not outlive the tables that they are for
+    engine = create_engine(url, poolclass=NullPool, connect_args=options)
     try:
-        with engine.connect() as connection:
-            connection.execute(text("SELECT pg_advisory_lock(:key)"), {"key": _MIGRATION_LOCK})
-            yield
+        with engine.begin() as connection:
+            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _MIGRATION_LOCK})
+            yield Migration(connection, alembic_config(url, migrations))
     finally:
         engine.dispose()
 
 
 def upgrade(url: str, migrations: Path, revision: str = "head") -> None:
     """Migrate the database to `revision` and grant its roles their rights; several processes may call it at once."""
-    from alembic import command
-
     from naojobs.roles import grant_rights
 
-    with _migration_lock(url):
-        command.upgrade(alembic_config(url, migrations), revision)
-        grant_rights(f"postgresql://{url.split('://', 1)[1]}")
+    with migration(url, migrations) as change:
+        change.upgrade(revision)
+        grant_rights(change.driver)
 
 
 def downgrade(url: str, migrations: Path, revision: str) -> None:
     """Downgrade the database to `revision`; `base` empties it."""
-    from alembic import command
-
-    with _migration_lock(url):
-        command.downgrade(alembic_config(url, migrations), revision)
+    with migration(url, migrations) as change:
+        change.downgrade(revision)

@@ -35,6 +35,9 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         "checkpoint_unusable": EventKind(
             "A checkpoint is missing or damaged; the one before it is tried.", ("checkpoint_id", "step")
         ),
+        "metrics_unusable": EventKind(
+            "Metrics that waited on a worker's disk are damaged; the checkpoint with them is used.", ("step",)
+        ),
         "started": EventKind("The training starts at step 0; `checkpoint_id` is null.", ("step", "checkpoint_id")),
         "resumed": EventKind(
             "The training resumes from a checkpoint; metrics beyond its step stay until the next checkpoint. "

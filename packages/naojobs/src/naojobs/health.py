@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import psycopg
 
+from naojobs.connections import bounds
 from naojobs.settings import ServiceSettings
 
 _RECENT = "SELECT 1 FROM workers WHERE host = %s AND heartbeat_at > now() - make_interval(secs => %s) LIMIT 1"
@@ -14,5 +15,6 @@ _RECENT = "SELECT 1 FROM workers WHERE host = %s AND heartbeat_at > now() - make
 
 def has_live_worker(settings: ServiceSettings, host: str) -> bool:
     """Return whether a worker of `host` has a heartbeat younger than its lease. Raises psycopg.Error."""
-    with psycopg.connect(settings.libpq_url, connect_timeout=5, application_name="naosprint-health") as connection:
+    url = settings.libpq_url
+    with psycopg.connect(url, application_name="naosprint-health", **bounds(url)) as connection:
         return connection.execute(_RECENT, (host, settings.lease_s)).fetchone() is not None

@@ -3,19 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 
-from sqlalchemy import select
+from sqlalchemy import Select, func, select
+from sqlalchemy.orm import Session
 
 from naojobs.database import Sessions
 from naojobs.models import Match, MatchGame
-from naojobs.teams import MatchSpec
 
 _MIDDLE, _SCALE = 1500.0, 400.0 / math.log(10.0)
 """Rating of an average team, and Elo points in which the odds change by a factor of e."""
 _SWEEPS, _PRECISION = 2_000, 1e-7
 """Most sweeps of the fit, and the largest change of a strength at its end."""
+_MOST_KEPT = 100
+"""Owners whose standings are kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """Results of all games of one team against another; without a comment, of the first of them."""
+
+    identities: tuple[str, str]
+    """What equal teams share, see `naojobs.teams.MatchTeam`."""
+    names: tuple[str, str]
+    wins: int
+    draws: int
+    losses: int
+    goals: tuple[int, int]
+    """Goals of both."""
 
 
 @dataclass(slots=True)
@@ -32,23 +49,23 @@ class Standing:
     """Its own goals and those against it."""
 
 
-def standings(games: Iterable[tuple[MatchSpec, Sequence[int]]]) -> list[Standing]:
-    """Return the teams of some games, the highest rating first. The order of the games does not matter."""
+def standings(results: Iterable[Results]) -> list[Standing]:
+    """Return the teams of some games, the highest rating first. The order of the results does not matter."""
     table: dict[str, Standing] = {}
     rivals: dict[str, dict[str, int]] = {}
-    for spec, goals in games:
-        pair = tuple(team.identity for team in spec.teams)
-        if pair[0] == pair[1]:
+    for found in results:
+        if found.identities[0] == found.identities[1]:
             continue  # a team against itself says nothing
-        for team, other, (own, against) in zip(spec.teams, pair[::-1], (goals, goals[::-1]), strict=True):
-            row = table.setdefault(team.identity, Standing(team.name, team.identity))
-            row.name = min(row.name, team.name)
-            row.wins += own > against
-            row.draws += own == against
-            row.losses += own < against
-            row.goals = [row.goals[0] + own, row.goals[1] + against]
-            count = rivals.setdefault(team.identity, {})
-            count[other] = count.get(other, 0) + 1
+        for side, (own, lost) in enumerate(((found.wins, found.losses), (found.losses, found.wins))):
+            identity, other = found.identities[side], found.identities[1 - side]
+            row = table.setdefault(identity, Standing(found.names[side], identity))
+            row.name = min(row.name, found.names[side])
+            row.wins += own
+            row.draws += found.draws
+            row.losses += lost
+            row.goals = [row.goals[0] + found.goals[side], row.goals[1] + found.goals[1 - side]]
+            count = rivals.setdefault(identity, {})
+            count[other] = count.get(other, 0) + own + found.draws + lost
     scores = {identity: row.wins + 0.5 * row.draws for identity, row in table.items()}
     for identity, strength in strengths(scores, rivals).items():
         table[identity].rating = _MIDDLE + _SCALE * strength
@@ -70,29 +87,86 @@ def strengths(scores: Mapping[str, float], rivals: Mapping[str, Mapping[str, int
         scores: by team, its wins and half of its draws.
         rivals: by team, its games against each other team.
     """
-    found = dict.fromkeys(sorted(scores), 0.0)
+    teams = sorted(scores)
+    place = {team: i for i, team in enumerate(teams)}
+    found = [0.0] * len(teams)
+    games = [(scores[team] + 0.5, [(place[other], n) for other, n in sorted(rivals[team].items())]) for team in teams]
+    exp = math.exp  # a sweep over a thousand pairs is to take less than a millisecond
     for _ in range(_SWEEPS):
         largest = 0.0
-        for team, strength in found.items():
-            chance = 1.0 / (1.0 + math.exp(-strength))
-            surplus, slope = scores[team] + 0.5 - chance, chance * (1.0 - chance)
-            for other, count in sorted(rivals[team].items()):
-                chance = 1.0 / (1.0 + math.exp(found[other] - strength))
-                surplus -= count * chance
-                slope += count * chance * (1.0 - chance)
+        for i, (score, opponents) in enumerate(games):
+            strength = found[i]
+            chance = 1.0 / (1.0 + exp(-strength))
+            surplus, slope = score - chance, chance * (1.0 - chance)
+            for other, count in opponents:
+                chance = 1.0 / (1.0 + exp(found[other] - strength))
+                expected = count * chance
+                surplus -= expected
+                slope += expected * (1.0 - chance)
             change = max(-1.0, min(1.0, surplus / slope))
-            found[team] = strength + change
+            found[i] = strength + change
             largest = max(largest, abs(change))
         if largest < _PRECISION:
             break
-    return found
+    return dict(zip(teams, found, strict=True))
 
 
-def league(sessions: Sessions, owner: str | None) -> list[Standing]:
-    """Return the standings over all games of an owner's matches; none for those of all owners."""
-    rows = select(Match.spec, MatchGame.goals).join(MatchGame, MatchGame.match_id == Match.id)
+class League:
+    """Standings by owner, kept until a match of the owner has changed. One thread at a time may use it."""
+
+    def __init__(self, sessions: Sessions) -> None:
+        self._sessions = sessions
+        self._kept: dict[str | None, tuple[object, list[Standing]]] = {}
+        """State of the matches and the standings by owner, the latest used last."""
+
+    def standings(self, owner: str | None) -> list[Standing]:
+        """Return the standings over all games of an owner's matches; none for those of all owners."""
+        seen, table = self._kept.pop(owner, (None, []))
+        with self._sessions() as session:
+            state = tuple(session.execute(_state(owner)).one())  # read first: a later game counts at the next call
+            results = _results(session, owner) if state != seen else None
+        if results is not None:
+            table = standings(results)
+        self._kept[owner] = state, table
+        if len(self._kept) > _MOST_KEPT:
+            del self._kept[next(iter(self._kept))]
+        return table
+
+
+def _state(owner: str | None) -> Select[int, str, datetime, int]:
+    """Return the query of what changes with every game that is stored or deleted.
+
+    A game is stored in the transaction that updates its match and adds the bytes of its log: a row for each match is
+    read, not one for each game.
+    """
+    state = select(func.count(Match.id), func.max(Match.id), func.max(Match.updated_at), func.sum(Match.size))
+    return state if owner is None else state.where(Match.owner == owner)
+
+
+def _results(session: Session, owner: str | None) -> list[Results]:
+    """Count the games of an owner's matches by pair of teams; none for those of all owners."""
+    first, second = MatchGame.goals[1], MatchGame.goals[2]
+    # By match first: a match has many games, and reading its specification takes longer than counting them.
+    of_match = select(
+        MatchGame.match_id,
+        func.count().filter(first > second).label("wins"),
+        func.count().filter(first == second).label("draws"),
+        func.count().filter(first < second).label("losses"),
+        func.sum(first).label("first_goals"),
+        func.sum(second).label("second_goals"),
+    ).group_by(MatchGame.match_id)
     if owner is not None:
-        rows = rows.where(Match.owner == owner)
-    with sessions() as session:
-        found = session.execute(rows).all()
-    return standings((MatchSpec.model_validate(spec), goals) for spec, goals in found)
+        of_match = of_match.where(MatchGame.match_id.in_(select(Match.id).where(Match.owner == owner)))
+    counted = of_match.subquery()
+    fields = {f"{name}_{i}": Match.spec["teams"][i][name].astext for name in ("identity", "name") for i in range(2)}
+    sums = [func.sum(counted.c[name]) for name in ("wins", "draws", "losses", "first_goals", "second_goals")]
+    rows = (
+        select(*(field.label(name) for name, field in fields.items()), *sums)
+        .join(counted, counted.c.match_id == Match.id)
+        .group_by(*fields)
+    )
+    found = []
+    for one, other, name, other_name, *numbers in session.execute(rows):
+        wins, draws, losses, goals, against = map(int, numbers)
+        found.append(Results((one, other), (name, other_name), wins, draws, losses, (goals, against)))
+    return found

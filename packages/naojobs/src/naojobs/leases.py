@@ -33,6 +33,7 @@ from naojobs.models import (
     LeaseClock,
     Match,
     MatchGame,
+    ServiceKey,
     TeamRecord,
     Worker,
     WorkKind,
@@ -68,6 +69,8 @@ class Lease:
     attempt: int
     generation: str
     """Generation of the database that gave it, see `naojobs.models.generation`."""
+    service: str
+    """Key of the service."""
 
     def __str__(self) -> str:
         """Return the work and its holder for messages."""
@@ -189,9 +192,8 @@ def take(session: Session, work: AnyWork, worker: str, lease_s: float) -> Claim 
     Work fails whose specification this version cannot read, or that lacks a policy or a team that it starts with; then
     None is returned. So does work for which a plug-in fails: otherwise nothing behind it would ever be claimed.
     """
-    lease = Lease(
-        work.kind, work.id, work.job_id, worker, work.attempt + 1, session.scalars(select(generation())).one()
-    )
+    database, service = session.execute(select(generation(), ServiceKey.key)).one()
+    lease = Lease(work.kind, work.id, work.job_id, worker, work.attempt + 1, database, service)
     try:
         match work:
             case Job():

@@ -86,8 +86,8 @@ def _part(session: Session, job: Job, checkpoint_id: str, step: int, parent_poli
 
 def _curve(session: Session, job: Job, step: int) -> dict[str, list[float]]:
     """Return the columns that lists of jobs show, up to a step, thinned to every k-th row."""
-    known = job.task in plugins.names(plugins.TASKS)
-    listed = plugins.load(plugins.TASKS, job.task).presentation.listed if known else ()
+    task = plugins.find(plugins.TASKS, job.task)
+    listed = () if task is None else task.presentation.listed
     numbered = (
         select(
             MetricsRecord.step,

@@ -101,6 +101,7 @@ def submit_match(
         session.add(match)
         session.flush()
         add_event(session, match, "queued", "submitted")
+        session.flush()
         session.refresh(match)
     return match, True
 

@@ -326,6 +326,8 @@ class Match(Work, Base):
     """A moment of a running game, of about a second ago."""
     size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     """Bytes of the logs of its games."""
+    row_count: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
+    """Rows of its events and lines."""
 
     __table_args__ = (
         *_work_checks(EVALUATION_STATES),
@@ -645,6 +647,20 @@ class Backup(Base):
 
 RANDOM_KEY = text("replace(gen_random_uuid()::text || gen_random_uuid()::text, '-', '')")
 """244 random bits in hexadecimal digits, drawn by the database."""
+
+
+class ServiceKey(Base):
+    """Key of the service, in one row: a restored database has that of the one that was backed up.
+
+    Whatever a service deletes that lies outside its database has to be its own: files in the store, spools of workers.
+    """
+
+    __tablename__ = "services"
+
+    id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    key: Mapped[str]
+
+    __table_args__ = (CheckConstraint("id = 1", name="one_row"),)
 
 
 class Generation(Base):

@@ -255,7 +255,8 @@ def requeue_stale(sessions: Sessions, *, lease_s: float = DEFAULT_LEASE_S, limit
     now = select(lease_time(lease_s)).scalar_subquery()
     for model in WORK.values():
         restored = model.lease_generation.is_distinct_from(generation())
-        expired = and_(model.state.in_(LEASED), or_(model.lease_expires_at < now, restored))
+        # A constraint lets leased work, and no other, have an owner: asked in this way, the index of leases serves.
+        expired = and_(model.lease_owner.is_not(None), or_(model.lease_expires_at < now, restored))
         with sessions() as session:
             stale = session.scalars(select(model.id).where(expired).order_by(model.lease_expires_at).limit(limit)).all()
         for work_id in stale:

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 
 import naopolicies
 from naospec import stored
-from sqlalchemy import ColumnElement, delete, select
+from sqlalchemy import ColumnElement, delete, func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
@@ -158,6 +158,9 @@ def _checkpoint(session: Session, wanted: Registration) -> Checkpoint:
 
 def _point(session: Session, policy: PolicyRecord, alias: str, version: PolicyVersion) -> None:
     promotion.check(session, policy, alias, version)
+    others = PolicyAlias.policy_id == policy.id, PolicyAlias.name != alias
+    if (session.scalar(select(func.count()).where(*others)) or 0) >= promotion.MAX_ALIASES:
+        raise ConflictError(f"policy {policy.name} has {promotion.MAX_ALIASES} aliases; remove one", "alias")
     statement = insert(PolicyAlias).values(policy_id=policy.id, name=alias, number=version.number)
     session.execute(
         statement.on_conflict_do_update(

@@ -22,6 +22,9 @@ from naojobs.errors import ConflictError, InvalidError
 from naojobs.models import Evaluation, Match, PolicyAlias, PolicyRecord, PolicyVersion
 from naojobs.states import WorkState
 
+MAX_ALIASES = 20
+"""Most aliases of a policy, and most with requirements: a request changes all of them."""
+
 MOST_REQUIREMENTS = 50
 """Largest number of requirements of one alias."""
 
@@ -87,7 +90,8 @@ def require(session: Session, policy: PolicyRecord, alias: str, requirements: Se
     """Replace what an alias requires; an empty sequence removes it.
 
     Raises:
-        InvalidError: if the policy's task has not the settings of a condition, or its robot cannot meet it.
+        InvalidError: if the policy's task has not the settings of a condition, if its robot cannot meet it, or if
+            `MAX_ALIASES` others have requirements.
     """
     newest = session.scalars(
         select(PolicyVersion).where(PolicyVersion.policy_id == policy.id).order_by(PolicyVersion.number.desc()).limit(1)
@@ -107,6 +111,8 @@ def require(session: Session, policy: PolicyRecord, alias: str, requirements: Se
             place = ".".join(str(part) for part in problem["loc"])
             raise InvalidError(f"{requirement.result}: {place}: {problem['msg']}", f"requirements.{number}") from None
     others = {name: kept for name, kept in policy.requirements.items() if name != alias}
+    if requirements and len(others) >= MAX_ALIASES:
+        raise InvalidError(f"{len(others)} other aliases have requirements, of {MAX_ALIASES}; remove some", "alias")
     wanted = {alias: [each.model_dump(mode="json") for each in requirements]} if requirements else {}
     policy.requirements = {**others, **wanted}
 
@@ -195,7 +201,8 @@ def _worse(result: dict[str, Any], standing: dict[str, Any]) -> bool:
 
 def _result(session: Session, requirement: Requirement, version: PolicyVersion) -> dict[str, Any] | None:
     """Return the result of the newest evaluation of a version that the requirement is about."""
-    wanted = requirement.specification(_task(version))
+    trained = read_stored(TrainingSpec, version.spec)
+    wanted = _conditions(requirement.specification(trained.stage_specs[-1].task.name), trained)
     rows = session.execute(
         select(Evaluation.spec, Evaluation.summary)
         .where(Evaluation.checkpoint_id == version.checkpoint_id, Evaluation.state == WorkState.SUCCEEDED)
@@ -204,9 +211,10 @@ def _result(session: Session, requirement: Requirement, version: PolicyVersion) 
     for document, summary in rows:
         try:
             spec = read_stored(EvaluationSpec, document)
+            conditions = _conditions(spec, trained)
         except ValidationError:
             continue  # of plug-ins that are gone
-        if _conditions(spec) != _conditions(wanted) or spec.episodes < requirement.episodes:
+        if conditions != wanted or spec.episodes < requirement.episodes:
             continue
         for result in (summary or {}).get("results", []):
             if result["name"] == requirement.result and result.get("value") is not None:
@@ -215,12 +223,7 @@ def _result(session: Session, requirement: Requirement, version: PolicyVersion) 
     return None
 
 
-def _conditions(spec: EvaluationSpec) -> dict[str, Any]:
-    """Return what has to be equal in two evaluations for their results to compare."""
-    task = None if spec.task is None else spec.task.model_dump(exclude={"version"}, exclude_unset=True)
-    return {"task": task, "simulator": spec.simulator, "engine": spec.engine, "deterministic": spec.deterministic}
-
-
-def _task(version: PolicyVersion) -> str:
-    """Return the task that a version was last trained for."""
-    return read_stored(TrainingSpec, version.spec).stage_specs[-1].task.name
+def _conditions(spec: EvaluationSpec, trained: TrainingSpec) -> tuple[Any, ...]:
+    """Return what has to be equal in two evaluations for their results, and their intervals, to compare."""
+    run = spec.applied_to(trained)
+    return run.task, run.simulator, spec.deterministic, spec.confidence

@@ -112,9 +112,11 @@ class Quota(Enum):
     )
     BYTES = _Kind("bytes in the store", "delete jobs, matches or teams", _sizes)
     ROWS = _Kind(
-        "rows in the database", "delete jobs", lambda owner: (select(_sum(Job.row_count)).where(Job.owner == owner),)
+        "rows in the database",
+        "delete jobs or matches",
+        lambda owner: tuple(select(_sum(table.row_count)).where(table.owner == owner) for table in (Job, Match)),
     )
-    """Rows of metrics, logs and events of jobs."""
+    """Rows of metrics, logs and events of jobs and matches."""
 
 
 Limits: TypeAlias = Mapping[Quota, int]

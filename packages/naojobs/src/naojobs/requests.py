@@ -9,6 +9,7 @@ from typing import TypeVar
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from naojobs import checkpoints
 from naojobs.changes import W, add_event, change, lock
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, NotFoundError
@@ -131,14 +132,14 @@ def retry(sessions: Sessions, model: type[R], work_id: str, *, limits: Limits = 
     A job resumes from its last checkpoint; of a match only the games are played that are not over.
 
     Raises NotFoundError, ConflictError if it has not failed and is not cancelled, and QuotaError if its owner has as
-    many open jobs as `limits` allow.
+    many open jobs, or rows, as `limits` allow.
     """
-    with _locked(sessions, model, work_id, limits, Quota.OPEN_JOBS) as (session, work):
+    with _locked(sessions, model, work_id, limits, Quota.OPEN_JOBS, Quota.ROWS) as (session, work):
         if work.state not in (WorkState.FAILED, WorkState.CANCELLED):
             what = f"only a failed or cancelled {work.kind} can be retried"
             hint = "use resume" if work.state is WorkState.PAUSED else f"submit a new {work.kind} instead"
             raise ConflictError(f"{work.kind} {work_id} is {work.state}; {what}; {hint}")
-        require_room(session, work.owner, limits, Quota.OPEN_JOBS)
+        require_room(session, work.owner, limits, Quota.OPEN_JOBS, Quota.ROWS)
         change(work, WorkState.QUEUED)
         work.failures = work.postponed = 0
         work.error = None
@@ -162,8 +163,8 @@ def delete_match(sessions: Sessions, match_id: str) -> None:
 def delete(sessions: Sessions, job_id: str) -> None:
     """Delete an ended job with all its rows; the caller deletes its artifacts afterwards.
 
-    Raises NotFoundError, and ConflictError if the job is open, if an open job starts from its policy, or if one of its
-    checkpoints is a version of a registered policy.
+    Raises NotFoundError, and ConflictError if the job is open, if open work starts from its policy or plays with it, or
+    if one of its checkpoints is a version of a registered policy.
     """
     with sessions.begin() as session:
         # Children before their parent, as a claim locks them: the deletion changes their rows, too.
@@ -186,5 +187,9 @@ def delete(sessions: Sessions, job_id: str) -> None:
         if registered is not None:
             reference = f"{registered.name}@{registered.number}"
             raise ConflictError(f"policy {reference} is a checkpoint of job {job_id}; delete {reference} first")
+        users = checkpoints.in_use(session)
+        mine = session.scalars(select(Checkpoint.id).where(Checkpoint.job_id == job_id, Checkpoint.id.in_(users)))
+        if (used := mine.first()) is not None:
+            raise ConflictError(f"{users[used]} uses a checkpoint of job {job_id}; wait for its end, or cancel it")
         session.delete(job)
         notify(session, job_id, deleted_from=job.owner)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from typing import Any
 
 import psycopg
 from psycopg import sql
 from pydantic import Field, SecretStr
 
+from naojobs.connections import bounds
 from naojobs.settings import DatabaseSettings
 
 
@@ -49,6 +51,7 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "policies": {Role.API: "SIUD", Role.WORKER: "S"},
     "policy_aliases": {Role.API: "SIUD", Role.WORKER: "S"},
     "policy_versions": {Role.API: "SID", Role.WORKER: "S"},
+    "services": {Role.API: "S", Role.WORKER: "S"},
     "studies": {Role.API: "SIUD", Role.WORKER: "SU"},
     "teams": {Role.API: "SID", Role.WORKER: "S"},
     "tokens": {Role.API: "SIUD"},
@@ -108,7 +111,7 @@ def create_roles(url: str, passwords: Mapping[Role, str]) -> None:
     """
     # What the owner of the tables has put into a schema must not answer for what a superuser calls by name.
     options = "-c search_path=pg_catalog,pg_temp"
-    with psycopg.connect(url, connect_timeout=5, options=options) as connection:
+    with psycopg.connect(url, options=options, **bounds(url)) as connection:
         known = {name for (name,) in connection.execute("SELECT rolname FROM pg_roles")}
         for role in Role:
             name = sql.Identifier(role)
@@ -163,33 +166,30 @@ def _exists(connection: psycopg.Connection, schema: str) -> bool:
     return connection.execute("SELECT to_regnamespace(%s)", (schema,)).fetchone() != (None,)
 
 
-def grant_rights(url: str) -> None:
+def grant_rights(connection: psycopg.Connection[Any]) -> None:
     """Grant the roles that exist their rights on the tables that exist, and revoke all others.
 
     Args:
-        url: the database (postgresql://...), as the owner of the tables.
+        connection: to the database, as the owner of the tables; the caller commits.
     """
-    with psycopg.connect(url, connect_timeout=5) as connection:
-        known = {name for (name,) in connection.execute("SELECT rolname FROM pg_roles")}
-        tables = {name for (name,) in connection.execute("SELECT tablename FROM pg_tables WHERE schemaname = 'public'")}
-        for role in (Role.API, Role.WORKER):
-            if role not in known:
-                continue
-            name = sql.Identifier(role)
-            connection.execute(sql.SQL("GRANT USAGE ON SCHEMA public TO {}").format(name))
-            connection.execute(sql.SQL("REVOKE ALL ON ALL TABLES IN SCHEMA public FROM {}").format(name))
-            for table, rights in RIGHTS.items():
-                if role in rights and table in tables:
-                    given = rights[role]
-                    words = sql.SQL(
-                        ", ".join([_WORDS[letter] for letter in given] if isinstance(given, str) else given)
-                    )
-                    connection.execute(
-                        sql.SQL("GRANT {} ON TABLE {} TO {}").format(words, sql.Identifier("public", table), name)
-                    )
-        if Role.WORKER in known and "metrics" in tables:
-            connection.execute("GRANT USAGE ON SEQUENCE public.metrics_seq TO naosprint_worker")
-        if Role.BACKUP in known:
-            connection.execute("GRANT USAGE ON SCHEMA public TO naosprint_backup")
-        if Role.WORKER in known and _exists(connection, _SAMPLER):
-            connection.execute("GRANT USAGE, CREATE ON SCHEMA optuna TO naosprint_worker")
+    known = {name for (name,) in connection.execute("SELECT rolname FROM pg_roles")}
+    tables = {name for (name,) in connection.execute("SELECT tablename FROM pg_tables WHERE schemaname = 'public'")}
+    for role in (Role.API, Role.WORKER):
+        if role not in known:
+            continue
+        name = sql.Identifier(role)
+        connection.execute(sql.SQL("GRANT USAGE ON SCHEMA public TO {}").format(name))
+        connection.execute(sql.SQL("REVOKE ALL ON ALL TABLES IN SCHEMA public FROM {}").format(name))
+        for table, rights in RIGHTS.items():
+            if role in rights and table in tables:
+                given = rights[role]
+                words = sql.SQL(", ".join([_WORDS[letter] for letter in given] if isinstance(given, str) else given))
+                connection.execute(
+                    sql.SQL("GRANT {} ON TABLE {} TO {}").format(words, sql.Identifier("public", table), name)
+                )
+    if Role.WORKER in known and "metrics" in tables:
+        connection.execute("GRANT USAGE ON SEQUENCE public.metrics_seq TO naosprint_worker")
+    if Role.BACKUP in known:
+        connection.execute("GRANT USAGE ON SCHEMA public TO naosprint_backup")
+    if Role.WORKER in known and _exists(connection, _SAMPLER):
+        connection.execute("GRANT USAGE, CREATE ON SCHEMA optuna TO naosprint_worker")

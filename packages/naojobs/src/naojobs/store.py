@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 MANIFEST_NAME = "manifest.json"
 ARTIFACTS = "jobs"
 """Prefix of all files that rows of the database refer to."""
+OWNER = "service/owner.json"
+"""File that says whose store it is, see `naojobs.retention`."""
 PROBES = "probes"
 """Prefix of the files with which a store is tested."""
 DEFAULT_DEADLINE_S = 60.0
@@ -222,14 +224,16 @@ class ArtifactStore:
 
         Raises:
             ValueError: a file's name is not fit for a key.
+            FileNotFoundError: `directory` is gone or has no file, which is no artifact.
             StoreError: the store refused; nothing under `key` counts as an artifact then.
         """
         check_key(key)
         entries = []
-        for path in sorted(path for path in directory.rglob("*") if path.is_file()):
+        paths = sorted(path for path in directory.rglob("*") if path.is_file() and path != directory / MANIFEST_NAME)
+        if not paths:
+            raise FileNotFoundError(f"{directory}: there is no file to store under {key}")
+        for path in paths:
             name = path.relative_to(directory).as_posix()
-            if name == MANIFEST_NAME:
-                continue
             target = check_key(f"{key}/{name}")
             with path.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()

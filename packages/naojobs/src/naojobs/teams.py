@@ -22,7 +22,7 @@ from naojobs import policies
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
-from naojobs.models import Match, PolicyRecord, TeamRecord
+from naojobs.models import Checkpoint, Job, Match, PolicyRecord, TeamRecord
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import OPEN
 from naojobs.store import ArtifactStore, StoreManifest, team_key
@@ -101,6 +101,9 @@ def _policy(session: Session, owner: str, skill: str, reference: str, field: str
             known = ", ".join(name for name in naopolicies.names() if name.startswith(ROBOT))
             raise InvalidError(f"{skill}: {error}; bundled policies are {known}", field) from None
         shown, used, document = f"{policy.name}@{version.number}", version.checkpoint_id, version.spec
+        # so that nobody deletes the checkpoint before the match says that it uses it
+        of_checkpoint = select(Checkpoint.job_id).where(Checkpoint.id == used).scalar_subquery()
+        session.execute(select(Job.id).where(Job.id == of_checkpoint).with_for_update(read=True))
     try:
         spec = read_stored(TrainingSpec, document).stage_specs[-1]
     except ValidationError:

@@ -9,6 +9,7 @@ from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validati
 from psycopg import sql
 from pydantic import ValidationError
 
+from naojobs.connections import bounds
 from naojobs.database import alembic_config
 from naojobs.errors import ConflictError
 from naojobs.states import ENDED
@@ -33,7 +34,7 @@ def check_upgrade(url: str, migrations: Path, *, force: bool = False) -> None:
     from alembic.script import ScriptDirectory
 
     scripts = ScriptDirectory.from_config(alembic_config(url, migrations))
-    with psycopg.connect(f"postgresql://{url.split('://', 1)[1]}", connect_timeout=5) as connection:
+    with psycopg.connect(f"postgresql://{url.split('://', 1)[1]}", **bounds(url)) as connection:
         if connection.execute("SELECT to_regclass('alembic_version')").fetchone() == (None,):
             return
         row = connection.execute("SELECT version_num FROM alembic_version").fetchone()

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 import psycopg
+from naojobs.connections import bounds
 from naojobs.database import CHANNEL
 
 _log = logging.getLogger(__name__)
@@ -98,7 +99,7 @@ class Broadcaster:
         while True:
             try:
                 async with await psycopg.AsyncConnection.connect(
-                    self._url, autocommit=True, connect_timeout=5, application_name="naosprint-api-listen"
+                    self._url, autocommit=True, application_name="naosprint-api-listen", **bounds(self._url)
                 ) as connection:
                     await connection.execute(f"LISTEN {CHANNEL}")
                     self._listening = True

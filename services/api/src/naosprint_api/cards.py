@@ -164,8 +164,9 @@ def _cards(session: Session, rows: Sequence[tuple[PolicyRecord, PolicyVersion]])
 
 
 def _summary_of(task: str) -> str:
-    """Return the summary of a task; empty if it is not installed."""
-    return plugins.load(plugins.TASKS, task).summary if task in plugins.names(plugins.TASKS) else ""
+    """Return the summary of a task; empty if it is not installed, or broken."""
+    found = plugins.find(plugins.TASKS, task)
+    return "" if found is None else found.summary
 
 
 def _part(summary: dict[str, Any]) -> dict[str, Any]:

@@ -74,8 +74,8 @@ class JobFilter:
                 | Job.id.startswith(self.text, autoescape=True)
                 | Job.id.endswith(self.text, autoescape=True)
                 | func.array_to_string(Job.tags, " ").icontains(self.text, autoescape=True)
-                | Job.spec["task"]["name"].astext.icontains(self.text, autoescape=True)
-                | Job.spec["robot"]["name"].astext.icontains(self.text, autoescape=True),
+                | Job.task.icontains(self.text, autoescape=True)
+                | Job.robot.icontains(self.text, autoescape=True),
             )
         return statement
 

@@ -12,6 +12,7 @@ from anyio import CapacityLimiter, to_thread
 from naojobs.capabilities import live_workers, waiting_reasons
 from naojobs.database import REVISION, Sessions, make_engine, make_sessions
 from naojobs.errors import JobError
+from naojobs.league import League
 from naojobs.models import AnyWork, Evaluation, Job, Match, Worker
 from naojobs.notifications import Notifier, make_celery
 from naojobs.outcomes import record_notification_failure
@@ -64,9 +65,12 @@ class Service:
     feed: Feed
     probes: Probes
     deliverer: Deliverer
+    league: League
     store_threads: CapacityLimiter
     """Threads for the store and for the broker: one that does not answer blocks these, but not those of requests."""
     broker_threads: CapacityLimiter
+    league_thread: CapacityLimiter
+    """The one thread of the league: requests that wait for a ranking hold none of the others up."""
 
     @classmethod
     def build(cls, settings: ApiSettings) -> Service:
@@ -102,8 +106,10 @@ class Service:
             feed=Feed(reads, workers),
             probes=Probes(probes),
             deliverer=Deliverer(sessions, networks=settings.api_webhook_networks, poll_s=settings.api_webhook_poll_s),
+            league=League(reads),
             store_threads=CapacityLimiter(STORE_THREADS),
             broker_threads=CapacityLimiter(BROKER_THREADS),
+            league_thread=CapacityLimiter(1),
         )
 
     @asynccontextmanager

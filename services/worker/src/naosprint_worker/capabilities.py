@@ -67,8 +67,7 @@ def _robots(settings: WorkerSettings) -> Iterator[str]:
     """Yield the robots that this machine can run in one of the worker's simulators; log why others are left out."""
     environment = {**os.environ, **settings.server_environment}
     simulators = {name: plugins.load(plugins.SIMULATORS, name) for name in settings.worker_queues}
-    for name in plugins.names(plugins.ROBOTS):
-        robot = plugins.load(plugins.ROBOTS, name)
+    for name, robot in plugins.usable(plugins.ROBOTS):
         reasons = {
             simulator: kind.unavailable(robot, environment)
             for simulator, kind in simulators.items()

@@ -14,9 +14,10 @@ from typing import Self
 
 from naojobs.database import Sessions
 from naojobs.leases import Lease
-from naojobs.models import Checkpoint, Job, generation
+from naojobs.models import Checkpoint, Job, ServiceKey, generation
 from naojobs.records import MetricsRow
 from naojobs.states import WorkState
+from naospec.files import sync, write_whole
 from sqlalchemy import func, select
 
 SPOOL = "spool"
@@ -40,9 +41,17 @@ class Entry:
         return self.folder / _FILES
 
     def metrics(self) -> list[MetricsRow]:
-        """Read the metrics."""
+        """Read the metrics. Raises ValueError if the file is damaged, OSError if it is gone."""
         rows = json.loads((self.folder / _METRICS).read_text(encoding="utf-8"))
-        return [MetricsRow(int(row["step"]), row) for row in rows]
+        try:
+            return [MetricsRow(int(row["step"]), row) for row in rows]
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"not a list of metrics: {error}") from error
+
+    def without_metrics(self) -> Self:
+        """Return the entry after its metrics were given up, which cannot be read."""
+        write_whole(self.folder / _METRICS, b"[]")
+        return self
 
     def size(self) -> int:
         """Return the size of its files, in bytes."""
@@ -66,7 +75,8 @@ class Spool:
     @classmethod
     def of_attempt(cls, worker_dir: Path, lease: Lease) -> Self:
         """Return the spool of an attempt below the folder of a host's workers."""
-        return cls(worker_dir / SPOOL / lease.generation / lease.job_id / str(lease.attempt), lease.attempt)
+        of_job = worker_dir / SPOOL / lease.service / lease.generation / lease.job_id
+        return cls(of_job / str(lease.attempt), lease.attempt)
 
     @property
     def size(self) -> int:
@@ -81,7 +91,7 @@ class Spool:
         shutil.rmtree(unfinished, ignore_errors=True)
         shutil.copytree(checkpoint, unfinished / _FILES, copy_function=link_or_copy)
         rows = [{**row.values, "step": row.step} for row in metrics]
-        (unfinished / _METRICS).write_text(json.dumps(rows), encoding="utf-8")
+        write_whole(unfinished / _METRICS, json.dumps(rows).encode())
         return self._take(unfinished, step)
 
     def remove(self, step: int) -> None:
@@ -116,13 +126,16 @@ class Spool:
 
     def close(self) -> None:
         """Remove the folders that are empty."""
-        for folder in (self._folder, *list(self._folder.parents)[:3]):
+        for folder in (self._folder, *list(self._folder.parents)[:4]):
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
     def _take(self, folder: Path, step: int) -> Entry:
         entry = Entry(step, self._attempt, self._folder / f"{step:012d}")
+        for path in (folder / _FILES, folder):
+            sync(path)
         folder.rename(entry.folder)
+        sync(self._folder)
         size = entry.size()
         with self._lock:
             self._sizes[step] = size
@@ -132,16 +145,22 @@ class Spool:
 def sweep(worker_dir: Path, sessions: Sessions) -> list[Path]:
     """Delete spools of jobs that are gone, that succeeded, or that resumed elsewhere; return their folders.
 
-    Spools of another generation are of attempts whose records the database may lack.
+    Spools of another generation are of attempts whose records the database may lack. Those of other services, whose
+    workers may use the same folder, stay.
     """
     gone = []
     with sessions() as session:
-        current = session.scalars(select(generation())).one()
-    for folder in (worker_dir / SPOOL).glob("*"):
+        service, current = session.execute(select(ServiceKey.key, generation())).one()
+    of_service = worker_dir / SPOOL / service
+    if (before := worker_dir / SPOOL / current).is_dir():  # of a version that did not tell services apart
+        with contextlib.suppress(OSError):
+            of_service.mkdir(exist_ok=True)
+            before.rename(of_service / current)
+    for folder in of_service.glob("*"):
         if folder.name != current:
             shutil.rmtree(folder, ignore_errors=True)
             gone.append(folder)
-    for job_folder in sorted(path for path in (worker_dir / SPOOL / current).glob("*") if path.is_dir()):
+    for job_folder in sorted(path for path in (of_service / current).glob("*") if path.is_dir()):
         with sessions() as session:
             job = session.get(Job, job_folder.name)
             of_job = Checkpoint.job_id == job_folder.name

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from naojobs import requests, studies
 from naojobs.checkpoints import newest_checkpoint
+from naojobs.connections import bounds
 from naojobs.database import Sessions
 from naojobs.errors import InvalidError
 from naojobs.ids import same_id
@@ -112,9 +113,13 @@ class Conductor:
     def forget_deleted(self) -> None:
         """Delete what Optuna holds of studies that were deleted."""
         with self._sessions() as session:
+            if session.scalar(text("SELECT to_regclass('optuna.studies')")) is None:
+                return
+        # Optuna's come first: the row of a study that begins meanwhile is there before Optuna holds anything of it.
+        held = self._optuna().get_all_studies()
+        with self._sessions() as session:
             known = set(session.scalars(select(Study.id)))
-            started = session.scalar(text("SELECT to_regclass('optuna.studies')")) is not None
-        for study in self._optuna().get_all_studies() if started else ():
+        for study in held:
             if study.study_name not in known:
                 self._optuna().delete_study(study._study_id)
                 logger.info("deleted what Optuna holds of %s", study.study_name)
@@ -128,7 +133,7 @@ class Conductor:
 
                 optuna.logging.set_verbosity(optuna.logging.WARNING)
                 options = {"options": f"-c search_path={SCHEMA} -c timezone=UTC -c statement_timeout=30000"}
-                engine = {"poolclass": NullPool, "connect_args": {**options, "connect_timeout": 5}}
+                engine = {"poolclass": NullPool, "connect_args": {**options, **bounds(self._url)}}
                 with self._sessions.begin() as session:
                     session.execute(select(func.pg_advisory_xact_lock(_TABLES_LOCK)))
                     tables = optuna.storages.RDBStorage(self._url, engine_kwargs=engine)

@@ -285,6 +285,12 @@ class Attempt:
                 continue
             try:
                 verify_checkpoint(entry.checkpoint)
+                try:
+                    entry.metrics()
+                except (OSError, ValueError) as error:
+                    message = f"metrics up to step {entry.step} on the worker's disk cannot be used: {error}"
+                    self._recorder.event("metrics_unusable", message, {"step": entry.step})
+                    entry = entry.without_metrics()
                 taken.append(self._spool.adopt(entry))
             except (CheckpointError, OSError) as error:
                 message = f"checkpoint at step {entry.step} on the worker's disk cannot be used: {error}"

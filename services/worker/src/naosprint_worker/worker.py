@@ -263,6 +263,8 @@ class WorkLoop:
             retention.sweep(self._context.sessions, self._store)
         except StoreError as error:
             logger.warning("sweep: the store did not answer: %s", describe(error, 200))
+        except retention.ForeignStoreError as error:
+            logger.error("sweep: %s", error)
         self._conductor.forget_deleted()
 
     def _repeat(self, name: str, period_s: float, duty: Callable[[], None], wake: threading.Event) -> None:

@@ -107,7 +107,7 @@ def _defaults(setting: Setting) -> dict[str, Any]:
             content[setting.path[0]] = {**content.get(setting.path[0], {}), "name": setting.plugins[0]}
         value = _value(content, setting)
         if value is MISSING:  # of a simulator that runs other robots than the default one
-            for robot in plugins.names(plugins.ROBOTS):
+            for robot, _ in plugins.usable(plugins.ROBOTS):
                 value = _value({**content, "robot": robot}, setting)
                 if value is not MISSING:
                     break

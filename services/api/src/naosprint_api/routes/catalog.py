@@ -173,7 +173,8 @@ def spec_schema(request: Request) -> Response:
 
     A section that a plug-in defines is a `oneOf` with one schema for each installed plug-in, distinguished by the
     constant `name`; `x-robots` lists the robots to which the schema of a simulator or task applies, `x-provides` what
-    each robot has with it. A setting whose `needs` is not provided has to keep its default.
+    each robot has with it. A setting whose `needs` is not provided has to keep its default. Presets do not change the
+    default of a setting with `own`, which a plug-in declares itself.
     """
     content = _schema_content()
     etag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'

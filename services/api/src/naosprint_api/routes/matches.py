@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any
 
+from anyio import to_thread
 from fastapi import APIRouter, BackgroundTasks, Depends, Path, Query, Request, Response
-from naojobs import league, matches, requests, teams
+from naojobs import matches, requests, teams
 from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Match
@@ -196,9 +198,11 @@ def delete_match(match_id: MatchId, principal: Submitter, service: ServiceDep, b
 
 
 @router.get("/league", responses=_LIST)
-def get_league(principal: Reader, service: ServiceDep, owner: Owner = None) -> list[StandingPublic]:
+async def get_league(principal: Reader, service: ServiceDep, owner: Owner = None) -> list[StandingPublic]:
     """Rank the teams by Elo over all games of one's own matches, or of all with scope admin."""
-    return [StandingPublic.model_validate(team) for team in league.league(service.reads, _owner(principal, owner))]
+    rank = partial(service.league.standings, _owner(principal, owner))
+    ranking = await to_thread.run_sync(rank, limiter=service.league_thread)
+    return [StandingPublic.model_validate(team) for team in ranking]
 
 
 @router.get("/teams", responses=_LIST)

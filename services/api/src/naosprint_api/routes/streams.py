@@ -130,8 +130,9 @@ async def followed_job(job_id: JobId, principal: Follower, service: ServiceDep) 
 
 async def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> datetime:
     """Return the time from which changes of jobs are sent."""
+    now = await service.feed.in_thread(partial(queries.database_now, service.reads))
     if not last_event_id:
-        return await service.feed.in_thread(partial(queries.database_now, service.reads))
+        return now
     try:
         since = datetime.fromisoformat(last_event_id)
         if since.tzinfo is None or since.year < 2000:
@@ -141,7 +142,7 @@ async def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> da
         raise ProblemError(
             422, f"Last-Event-ID {message}", [FieldError(field="Last-Event-ID", message=message)]
         ) from None
-    return since
+    return min(since, now)
 
 
 async def stream_filter(
@@ -199,6 +200,9 @@ async def _news_of_all(
     with _follower(service), service.broadcaster.subscribe() as subscription:
         yield _message("ready", {"since": since.isoformat()}, since.isoformat())
         while await allowed.valid():
+            # After the database's clock was set back, changes are older than those that were seen before.
+            now = await service.feed.in_thread(partial(queries.database_now, service.reads))
+            since = min(since, now)
             place = queries.Change(since - queries.OVERLAP)
             seen: set[str] = set()
             full = True
@@ -211,7 +215,7 @@ async def _news_of_all(
                     news.append(format_sse_event(event="job", data_str=text, id=since.isoformat()))
                 if page.changes:
                     place = page.changes[-1]
-                    since = max(since, place.at)
+                    since = max(since, min(place.at, now))
                 seen.update(change.job_id for change in page.changes)
                 if news:
                     yield b"".join(news)

@@ -51,7 +51,7 @@ export const provided = (section, name, robot, root) =>
 /**
  * Describe one property as a field.
  *
- * @returns {{name: string, label: string, hint: string, unit: string|null, needs: string|null, provides:
+ * @returns {{name: string, label: string, hint: string, unit: string|null, own: boolean, needs: string|null, provides:
  *   string|null, kind: "choice"|"flag"|"integer"|"number"|"list"|"json"|"text", nullable: boolean, choices?: any[],
  *   low?: number, high?: number, openLow?: boolean, openHigh?: boolean, fallback: any}}
  */
@@ -81,6 +81,7 @@ export function field(name, schema, root) {
     label: given ?? words(name),
     hint: outer.description ?? "",
     unit: outer.unit ?? null,
+    own: outer.own ?? false,
     needs: outer.needs ?? null,
     provides: outer.provides ?? null,
     nullable,

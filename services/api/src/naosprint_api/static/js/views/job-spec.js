@@ -73,12 +73,13 @@ export class SpecTab {
 
   draw(known) {
     const { job } = this.store;
+    const fields = known?.training(job.spec);
     fill(
       this.training,
       specList(
         job.spec,
-        known?.training(job.spec),
-        known ? overrides(job.spec, known.presets, known.families.get(job.spec.robot?.name)) : undefined,
+        fields,
+        known ? overrides(job.spec, known.presets, known.families.get(job.spec.robot?.name), fields) : undefined,
       ),
     );
     fill(

@@ -235,12 +235,13 @@ export async function mount(root, { id, params, signal }) {
     const training = h("div", { class: "pad spec-columns" });
     const evaluated = h("div", { class: "pad spec-columns" });
     const list = (form) => {
+      const fields = form?.training(spec);
       fill(
         training,
         specList(
           spec,
-          form?.training(spec),
-          form ? overrides(spec, form.presets, form.families.get(spec.robot?.name)) : undefined,
+          fields,
+          form ? overrides(spec, form.presets, form.families.get(spec.robot?.name), fields) : undefined,
         ),
       );
       if (evaluation) fill(evaluated, specList(evaluation, form?.evaluation));

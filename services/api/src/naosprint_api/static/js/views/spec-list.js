@@ -80,13 +80,16 @@ export function presetValues(preset, family) {
   return flattened(sections);
 }
 
-/** Paths of the settings that differ from what the specification's preset sets. */
-export function overrides(spec, presets, family) {
+/** Paths of the settings that differ from what the specification's preset sets; `fields` are those of `training`. */
+export function overrides(spec, presets, family, fields) {
   const preset = presets.find((p) => p.name === spec.algorithm?.preset);
   const mine = flattened(spec);
   return new Set(
     Object.entries(presetValues(preset, family))
-      .filter(([path, value]) => path in mine && JSON.stringify(mine[path]) !== JSON.stringify(value))
+      .filter(
+        ([path, value]) =>
+          path in mine && !fields.get(path)?.own && JSON.stringify(mine[path]) !== JSON.stringify(value),
+      )
       .map(([path]) => path),
   );
 }

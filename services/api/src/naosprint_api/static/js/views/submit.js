@@ -365,7 +365,7 @@ class SubmitView {
     const values = presetValues(this.presets.get(this.preset), this.families.get(this.peek("spec.robot.name")));
     for (const [path, f] of this.fields)
       if (path.startsWith(`spec.${name}.`) && f.spec.name !== "name")
-        f.setBase(values[path.slice("spec.".length)] ?? f.spec.fallback);
+        f.setBase((f.spec.own ? null : values[path.slice("spec.".length)]) ?? f.spec.fallback);
   }
 
   /** Show the fields that most jobs need, or all. */
