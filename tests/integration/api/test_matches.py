@@ -356,9 +356,9 @@ def test_what_an_open_match_plays_with_is_neither_pruned_nor_deleted(
     lease = run_job(spec=TrainingSpec.model_validate({"task": "velocity", "robot": "t1"}))
     played, started, *_ = [save_checkpoint(lease, step, {"policy.npz": b"%d" % step}) for step in (1, 2, 3, 4)]
     body = {"job_id": lease.job_id, "checkpoint_id": played}
-    client.post("/policies/walker/versions", json=body).raise_for_status()
-    match_id = submit(client, "example:walk=walker@1", "example")
-    client.delete("/policies/walker").raise_for_status()
+    client.post("/policies/mover/versions", json=body).raise_for_status()
+    match_id = submit(client, "example:walk=mover@1", "example")
+    client.delete("/policies/mover").raise_for_status()
     job = {"spec": {"task": "velocity", "robot": "t1"}, "parent_job_id": lease.job_id, "parent_checkpoint_id": started}
     search = {"space": {"n_epochs": {"type": "int", "low": 1, "high": 3}}}
     study = client.post("/studies", json={"job": job, "search": search}).raise_for_status().json()

@@ -139,6 +139,7 @@ def test_the_schema_and_the_catalog_have_what_the_dashboard_is_made_from(install
         "title": "Gait period",
         "description": "",
         "unit": "s",
+        "own": True,  # presets say nothing of it
     }
     (task,) = (task for task in installed.client.get("/tasks").json() if task["name"] == TASK)
     metrics = {metric["name"]: metric for metric in task["metrics"]}
