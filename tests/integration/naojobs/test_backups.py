@@ -42,7 +42,7 @@ INSERT INTO tokens (id, name, owner, sha256, scopes, expires_at) VALUES ('e', ''
 INSERT INTO workers (id, host, pid, version) VALUES ('w', 'h', 1, '1');
 INSERT INTO backups (finished_at) VALUES (now());
 """
-"""What a service has that nobody uses: tokens of the installation and ended ones, workers, backups."""
+"""What an unused service has: tokens of the installation and ended ones, workers, backups."""
 
 
 def driver(url: str) -> str:
@@ -90,7 +90,7 @@ def dump(source: str, tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.fixture
 def target(make_database: Callable[..., str]) -> str:
-    """A service that nobody uses."""
+    """An unused service."""
     url = make_database()
     create_roles(url, {})  # as deploy/restore does: a copy of a database lacks rights on the database itself
     with psycopg.connect(url) as connection:
@@ -102,7 +102,7 @@ def restore(url: str, dump: bytes) -> dict[str, int]:
     return backups.restore(driver(as_role(url, Role.OWNER)), MIGRATIONS, io.BytesIO(dump))
 
 
-def test_a_service_that_nobody_uses_gets_what_the_dump_has(source: str, target: str, dump: bytes) -> None:
+def test_an_unused_service_gets_what_the_dump_has(source: str, target: str, dump: bytes) -> None:
     generation = "SELECT key FROM generations"
     before = rows(target, generation)
     backups.check_restore(driver(as_role(target, Role.OWNER)), MIGRATIONS, io.BytesIO(dump))

@@ -40,14 +40,14 @@ _OWN = frozenset({"alembic_version", "generations", "lease_clocks"})
 """Tables whose rows a restored database has of its own."""
 
 _OF_SERVICE = _OWN | {"services", "workers", "backups"}
-"""Tables that have rows of a service which nobody has used: migrations, workers and backups write them."""
+"""Tables that have rows before anybody uses a service: migrations, workers and backups write them."""
 
 _USERS_TOKENS = sql.SQL("""
 to_jsonb(item) -> 'revoked_at' = 'null' AND coalesce((to_jsonb(item) ->> 'expires_at')::timestamptz > now(), true)
 AND to_jsonb(item) -> 'scopes' ?| ARRAY['read', 'submit']
 """)
-"""Condition of valid tokens of users. Those of the installation control it, or read its metrics; a service that nobody
-has used has such.
+"""Condition of users' valid tokens. An installation makes some of its own, to administer the service and to read its
+metrics; those do not show that it is used.
 """
 
 _OF_DUMPS = (psycopg.DataError, psycopg.IntegrityError, psycopg.errors.UndefinedTable)

@@ -101,7 +101,7 @@ def _policy(session: Session, owner: str, skill: str, reference: str, field: str
             known = ", ".join(name for name in naopolicies.names() if name.startswith(ROBOT))
             raise InvalidError(f"{skill}: {error}; bundled policies are {known}", field) from None
         shown, used, document = f"{policy.name}@{version.number}", version.checkpoint_id, version.spec
-        # so that nobody deletes the checkpoint before the match says that it uses it
+        # The lock keeps the checkpoint from being deleted before the match is stored, which protects it from then on.
         of_checkpoint = select(Checkpoint.job_id).where(Checkpoint.id == used).scalar_subquery()
         session.execute(select(Job.id).where(Job.id == of_checkpoint).with_for_update(read=True))
     try:
