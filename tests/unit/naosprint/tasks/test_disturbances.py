@@ -212,6 +212,39 @@ def test_a_fraction_of_the_robots_is_left_undisturbed() -> None:
     assert (np.abs(seen["gyro"] - undisturbed["gyro"])[~calm] > 0.0).all()
 
 
+@pytest.mark.parametrize("by_episode", [False, True])
+def test_each_kind_of_disturbance_is_drawn_for_itself(monkeypatch: pytest.MonkeyPatch, by_episode: bool) -> None:
+    """With a probability every set of kinds occurs, as often as chance says."""
+    n = 256
+    environment = environment_of(
+        n, engine="fast", push_mps=1.0, push_steps=1, sensor_noise=1.0, mass_variation=0.1, friction_min=0.5,
+        friction_max=0.6, stiffness_min=0.5, extra_delay=1, undisturbed_fraction=0.2, disturbance_probability=0.5,
+        episode_worlds=by_episode,
+    )  # fmt: skip
+    simulator = environment.simulator
+    assert isinstance(simulator, MujocoSimulator)
+    after_episodes(environment, 1, failed=False)
+    disturbances, batch, usual = environment.disturbances, simulator.batch, simulator.world.model
+    nominal = environment.actuation.targets(np.zeros((n, environment.actuation.n_actions)))
+    seen, pushes = environment.world.perceptors["gyro"].copy(), np.zeros((n, 2))
+    monkeypatch.setattr(simulator, "push", lambda velocities, rows: np.copyto(pushes[rows], velocities))
+    disturbances.apply(slice(0, n))
+    found = np.column_stack(
+        [
+            np.linalg.norm(pushes, axis=1) > 0.0,
+            np.abs(numbers(batch, "body_mass") - usual.body_mass).max(axis=1) > 1e-9,
+            disturbances._world[:, 0] < 1.0,
+            disturbances._stiffness[:, 0] < 1.0,
+            (disturbances.delayed(nominal + 1.0, slice(0, n)) == nominal).all(axis=1),
+            (environment.world.perceptors["gyro"] != seen).all(axis=1),
+        ]
+    )
+    disturbed = found.any(axis=1)
+    assert found.mean(axis=0) == pytest.approx(0.4, abs=0.1)  # 0.8 of the robots, half of them each
+    assert disturbed.mean() == pytest.approx(0.8 * (1 - 0.5**6), abs=0.08)
+    assert len(np.unique(found, axis=0)) >= 40
+
+
 def test_sensor_noise_has_the_stated_deviation() -> None:
     quiet, noisy = environment_of(64), environment_of(64, sensor_noise=2.0)
     run(quiet, 1)

@@ -49,6 +49,7 @@ _WORLD = (
     "stiffness_max",
     "gravity_min",
 )
+_KINDS = ("pushes", "bodies", "friction", "stiffness", "delay", "noise")
 _REST = ("push_mps", "extra_delay", "extra_delay_max", "sensor_noise", "ball_noise_m")
 
 
@@ -169,6 +170,16 @@ class DisturbanceSettings(TaskSettings):
         description="Fraction of the robots without disturbances, so that a policy stays fast in the ideal world.",
         json_schema_extra={"with": [*_WORLD, *_REST]},
     )
+    disturbance_probability: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=1.0,
+        title="Probability of a disturbance",
+        description="Probability with which a disturbed robot has each kind of disturbance: pushes; masses, motors and "
+        "center of mass; friction; stiffness; delay; noise. 1: all of them at once. With less, more robots learn from "
+        "one kind alone.",
+        json_schema_extra={"with": [*_WORLD, *_REST]},
+    )
     disturbance_growth: float = Field(
         default=0.0,
         ge=0.0,
@@ -272,7 +283,9 @@ class Disturbances:
         self._delay: IntArray = np.full(n, self._least)
         self._episode: IntArray = np.zeros(n, dtype=np.int64)
         self._waiting: FloatArray = np.zeros((self._most, n, joints))  # the latest command is the last
-        self._disturbed: BoolArray = self._draw_disturbed(slice(0, n))
+        self._disturbed: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._kinds: dict[str, BoolArray] = {kind: np.zeros(n, dtype=np.bool_) for kind in _KINDS}
+        self._draw_disturbed(slice(0, n))
         self._noise = {
             name: NOISE[name] * settings.sensor_noise
             for name in simulator.perceptors
@@ -313,7 +326,8 @@ class Disturbances:
             rng, rows = np.random.default_rng([_STREAM, seed]), np.flatnonzero(self._disturbed)
             self._world[rows, 1] = np.linspace(settings.gravity_min, 1.0, n)[rows]
             if not self._redraws:
-                self._world[rows, 0] = rng.uniform(settings.friction_min, settings.friction_max, n)[rows]
+                drawn = rng.uniform(settings.friction_min, settings.friction_max, n)[rows]
+                self._world[rows, 0] = np.where(self._kinds["friction"][rows], drawn, 1.0)
                 self._draw_stiffness(rows, rng)
                 simulator.vary([self._variation(row) for row in rows.tolist()], rng, rows)
         if settings.push_mps:
@@ -324,13 +338,14 @@ class Disturbances:
         settings = self._settings
         self._count[rows] = 0
         self._episode[rows] = 0
-        self._disturbed[rows] = self._draw_disturbed(rows)
+        self._draw_disturbed(rows)
         if self._varies:
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
                 rng = np.random.default_rng([_STREAM, self._seed, episode])
                 friction = float(rng.uniform(settings.friction_min, settings.friction_max))
                 gravity = float(rng.uniform(settings.gravity_min, 1.0))
-                self._world[row] = (friction, gravity) if self._disturbed[row] else 1.0
+                self._world[row, 0] = friction if self._kinds["friction"][row] else 1.0
+                self._world[row, 1] = gravity if self._disturbed[row] else 1.0
                 self._draw_stiffness(np.array([row]), rng)
                 self._simulator.vary([self._variation(row)], rng, np.array([row]))
 
@@ -339,11 +354,11 @@ class Disturbances:
         if self._softens:
             low, high = np.log(self._settings.stiffness_min), np.log(self._settings.stiffness_max)
             factors = np.exp(rng.uniform(low, high, len(rows)))
-            self._stiffness[rows, 0] = np.where(self._disturbed[rows], factors, 1.0)
+            self._stiffness[rows, 0] = np.where(self._kinds["stiffness"][rows], factors, 1.0)
 
     def _variation(self, row: int) -> Variation:
         """Return how a robot differs from the nominal one; an undisturbed one does not."""
-        settings, strength = self._settings, float(self._drawn_at[row, 1] * self._disturbed[row])
+        settings, strength = self._settings, float(self._drawn_at[row, 1] * self._kinds["bodies"][row])
         friction, gravity = self._world[row].tolist()
         return Variation(
             masses=settings.mass_variation * strength,
@@ -354,11 +369,14 @@ class Disturbances:
             stiffness=float(self._stiffness[row, 0]),
         )
 
-    def _draw_disturbed(self, rows: slice | IntArray) -> BoolArray:
-        """Return which of the (k,) robots ``rows`` are disturbed at all."""
-        streams = self._streams[rows]
+    def _draw_disturbed(self, rows: slice | IntArray) -> None:
+        """Draw which of the robots ``rows`` are disturbed at all, and by what."""
+        settings, streams = self._settings, self._streams[rows]
         chance = uniform(self._seed + _STREAM - 1, streams, np.zeros_like(streams), 1)[:, 0]
-        return np.asarray(chance >= self._settings.undisturbed_fraction)
+        self._disturbed[rows] = chance >= settings.undisturbed_fraction
+        parts = uniform(self._seed + _STREAM - 3, streams, np.zeros_like(streams), len(_KINDS))
+        for kind, part in zip(_KINDS, parts.T, strict=True):
+            self._kinds[kind][rows] = self._disturbed[rows] & (part < settings.disturbance_probability)
 
     def grow(self, rows: IntArray, ran: BoolArray, failed: BoolArray) -> None:
         """Change how strong the robots ``rows`` are disturbed, and draw the worlds of their next episodes.
@@ -385,7 +403,7 @@ class Disturbances:
             episode, strength = self._drawn_at[row].tolist()
             rng = np.random.default_rng([_STREAM, self._seed, int(self._streams[row]), int(episode)])
             friction = float(rng.uniform(settings.friction_min, settings.friction_max))
-            self._world[row, 0] = 1.0 + strength * (friction - 1.0)
+            self._world[row, 0] = 1.0 + strength * (friction - 1.0) * self._kinds["friction"][row]
             self._draw_stiffness(np.array([row]), rng)
             self._stiffness[row] **= strength
             self._simulator.vary([self._variation(row)], rng, np.array([row]))
@@ -407,7 +425,7 @@ class Disturbances:
             part = uniform(self._seed + _STREAM - 2, self._streams[rows], self._episode[rows], 1)[:, 0]
             most = self._least + self._strength[rows] * (self._most - self._least)
             drawn = self._least + (part * (most + 1 - self._least)).astype(np.int64)
-            self._delay[rows] = np.where(self._disturbed[rows], drawn, 0)
+            self._delay[rows] = np.where(self._kinds["delay"][rows], drawn, 0)
             self._acts[rows, 0] = self._delay[rows]
 
     @property
@@ -441,21 +459,21 @@ class Disturbances:
         if not self._counts:
             return
         self._count[rows] += 1
-        streams, counts, disturbed = self._streams[rows], self._count[rows], self._disturbed[rows]
+        streams, counts, noisy = self._streams[rows], self._count[rows], self._kinds["noise"][rows]
         if settings.push_mps:
             chance, turn, part = uniform(self._seed + _STREAM, streams, counts, 3).T
-            pushed = disturbed & (chance < 1.0 / settings.push_steps)
+            pushed = self._kinds["pushes"][rows] & (chance < 1.0 / settings.push_steps)
             direction, size = np.pi * (2.0 * turn - 1.0), settings.push_mps * part * pushed * self._strength[rows]
             if pushed.any():
                 self._simulator.push(np.stack([size * np.cos(direction), size * np.sin(direction)], axis=1), rows)
         for number, (name, deviation) in enumerate(self._noise.items(), 1):
             values = self._simulator.perceptors[name][rows]
-            noise = normal(self._seed + _STREAM + number, streams[disturbed], counts[disturbed], values.shape[1])
-            values[disturbed] += deviation * self._strength[rows][disturbed, None] * noise
+            noise = normal(self._seed + _STREAM + number, streams[noisy], counts[noisy], values.shape[1])
+            values[noisy] += deviation * self._strength[rows][noisy, None] * noise
         if self._ball_noise_m:
             # a report is a distance and two angles, which are off by less the farther the ball is; NaN: none
             report = self._simulator.perceptors[BALL][rows]
-            noise = normal(self._seed + _STREAM + _BALL_STREAM, streams[disturbed], counts[disturbed], 3)
-            off = self._ball_noise_m * self._strength[rows][disturbed, None] * noise
-            off[:, 1:] = np.degrees(off[:, 1:] / np.maximum(report[disturbed, :1], _NEAREST_BALL_M))
-            report[disturbed] += off
+            noise = normal(self._seed + _STREAM + _BALL_STREAM, streams[noisy], counts[noisy], 3)
+            off = self._ball_noise_m * self._strength[rows][noisy, None] * noise
+            off[:, 1:] = np.degrees(off[:, 1:] / np.maximum(report[noisy, :1], _NEAREST_BALL_M))
+            report[noisy] += off
