@@ -8,10 +8,12 @@ from typing import Any
 
 import pytest
 from naojobs import leases, outcomes, records, registry, requests, submission
-from naojobs.capabilities import Capabilities
+from naojobs.capabilities import Capabilities, live_workers
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
+from naojobs.health import has_live_worker
 from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, MetricsRecord
+from naojobs.settings import ServiceSettings
 from naojobs.states import ENDED, EVALUATION_STATES, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec
@@ -230,17 +232,27 @@ def test_an_attempt_with_other_software_says_so(sessions: Sessions) -> None:
         assert session.get_one(Job, job.id).software == ran[1]
 
 
-def test_the_registry_lists_who_is_alive_and_what_each_has_leased(sessions: Sessions, lease: Lease) -> None:
+@pytest.mark.parametrize("silent_since", ["1 minute", "-1 hour"])
+def test_the_registry_lists_who_is_alive_and_what_each_has_leased(
+    sessions: Sessions, lease: Lease, service_settings: ServiceSettings, silent_since: str
+) -> None:
+    """A heartbeat in the future was before the database's clock was set back."""
     registry.beat(sessions, "worker-1", pid=1, version="1", **HOST)
     registry.beat(sessions, "worker-2", pid=2, version="1", **HOST)
     with sessions.begin() as session:
-        session.execute(text("UPDATE workers SET heartbeat_at = now() - interval '1 minute' WHERE id = 'worker-2'"))
+        silent = text("UPDATE workers SET heartbeat_at = now() - CAST(:since AS interval) WHERE id = 'worker-2'")
+        session.execute(silent, {"since": silent_since})
+        assert [worker.id for worker in live_workers(session, stale_s=30)] == ["worker-1"]
     found = {worker.row.id: worker for worker in registry.workers(sessions)}
     assert found["worker-1"].alive
     assert lease.job_id in found["worker-1"].jobs
     assert not found["worker-2"].alive
     assert registry.beat(sessions, "worker-1", pid=1, version="1", **HOST) == 1
-    assert registry.beat(sessions, "worker-2", pid=2, version="2", **HOST) == 2
+    registry.leave(sessions, "worker-1")
+    assert not has_live_worker(service_settings, HOST["host"])
+    assert registry.beat(sessions, "worker-2", pid=2, version="2", **HOST) == 1
+    assert has_live_worker(service_settings, HOST["host"])
+    assert registry.beat(sessions, "worker-1", pid=1, version="1", **HOST) == 2
     assert {worker.row.id: worker for worker in registry.workers(sessions)}["worker-2"].alive
     registry.leave(sessions, "worker-1")
     assert [worker.row.id for worker in registry.workers(sessions)] == ["worker-2"]

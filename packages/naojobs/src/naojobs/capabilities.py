@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, timedelta
+from datetime import UTC
 
 from naospec import EvaluationSpec, TrainingSpec, plugins
 from sqlalchemy import ColumnElement, and_, func, select, tuple_
@@ -84,7 +84,7 @@ class Capabilities:
 
 def live_workers(session: Session, *, stale_s: float) -> Sequence[Worker]:
     """Return the workers with a heartbeat in the last `stale_s` seconds."""
-    return session.scalars(select(Worker).where(Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s))).all()
+    return session.scalars(select(Worker).where(Worker.heard_within(stale_s))).all()
 
 
 def waiting_reasons(session: Session, work: Iterable[Work], workers: Sequence[Worker]) -> dict[str, str]:

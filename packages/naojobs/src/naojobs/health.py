@@ -10,7 +10,8 @@ import psycopg
 from naojobs.connections import bounds
 from naojobs.settings import ServiceSettings
 
-_RECENT = "SELECT 1 FROM workers WHERE host = %s AND heartbeat_at > now() - make_interval(secs => %s) LIMIT 1"
+_RECENT = "SELECT 1 FROM workers WHERE host = %s AND abs(extract(epoch FROM now() - heartbeat_at)) < %s LIMIT 1"
+"""As `Worker.heard_within`."""
 
 
 def has_live_worker(settings: ServiceSettings, host: str) -> bool:

@@ -621,6 +621,16 @@ class Worker(Base):
     started_at: Mapped[datetime] = mapped_column(server_default=func.now())
     heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
+    @classmethod
+    def heard_within(cls, seconds: float) -> ColumnElement[bool]:
+        """Return the condition that a worker's last heartbeat is at most `seconds` away from now.
+
+        One in the future was before the database's clock was set back: workers that live have reported since.
+        """
+        return cls.heartbeat_at.between(
+            func.now() - timedelta(seconds=seconds), func.now() + timedelta(seconds=seconds)
+        )
+
 
 class OwnerUsage(Base):
     """What the work of an owner has used on a day, by the database's clock; it stays when the work is deleted."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import asdict, dataclass
-from datetime import timedelta
 from typing import Any
 
 from sqlalchemy import delete, func, select, union_all, update
@@ -51,7 +50,7 @@ def beat(
             .on_conflict_do_update(index_elements=[Worker.id], set_={"heartbeat_at": func.now(), **current}),
         )
         read_lease_clock(session, stale_s)
-        alive = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
+        alive = Worker.heard_within(stale_s)
         return session.execute(select(func.count()).select_from(Worker).where(alive)).scalar_one()
 
 
@@ -91,7 +90,7 @@ def _set_drained(session: Session, worker_id: str, value: Any) -> None:
 def forget(sessions: Sessions, *, after_s: float = 86_400.0) -> None:
     """Remove workers whose last heartbeat is older than `after_s`."""
     with sessions.begin() as session:
-        session.execute(delete(Worker).where(Worker.heartbeat_at < func.now() - timedelta(seconds=after_s)))
+        session.execute(delete(Worker).where(~Worker.heard_within(after_s)))
 
 
 def workers(
@@ -107,7 +106,7 @@ def workers(
     A worker whose last heartbeat is older than `stale_s` is not alive.
     """
     with sessions.begin() as session:
-        alive = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
+        alive = Worker.heard_within(stale_s)
         statement = select(Worker, alive).order_by(Worker.id).limit(limit)
         if after is not None:
             statement = statement.where(Worker.id > after)

@@ -71,7 +71,7 @@ class _Rows(Collector):
             yield from (family for family in families.values() if family is not up)
 
 
-_ALIVE = Worker.heartbeat_at > func.now() - timedelta(seconds=30)
+_ALIVE = Worker.heard_within(30)
 """Condition of workers with a heartbeat in the last 30 s."""
 
 
