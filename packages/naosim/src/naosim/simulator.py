@@ -343,11 +343,14 @@ class Simulator(ABC):
         prepares_starts: whether :meth:`start` makes use of the starts of the episodes that follow.
         latency_steps: steps after which ``joint_angles`` first shows the effect of a command: 1 if the reply to a
             command already does.
+        motors_follow_perceptors: whether motors are driven by the perceived ``joint_angles``, so that noise on these
+            moves the robot, and is part of what the next step depends on.
     """
 
     perceptors: Mapping[str, Floats]
     truth: Truth
     latency_steps: int = 1
+    motors_follow_perceptors: bool = False
     prepares_starts: bool = False
     native: NativeHandle | None = None
 

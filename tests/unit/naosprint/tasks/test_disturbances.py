@@ -269,6 +269,27 @@ def test_a_resumed_environment_is_disturbed_alike() -> None:
     np.testing.assert_array_equal(resumed.observations, environment.observations)
 
 
+def test_noise_that_reaches_a_naos_motors_is_part_of_a_checkpoint() -> None:
+    """Its motors are driven by what it perceives."""
+    settings: dict[str, Any] = {"sensor_noise": 1.0, "extra_delay": 1, "history_steps": 2}
+
+    def begin() -> Environment:
+        parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), NAO)
+        environment = Environment(EmbeddedSimulator(NAO, 3), Sprint1, parameters, 0)
+        environment.load_starts(environment.task.starts(1, 0, 0.0))
+        environment.restart(np.arange(3), np.zeros(3, dtype=np.int64))
+        return environment
+
+    environment = begin()
+    run(environment, 10)
+    environment.restart(np.array([1]), np.array([0]))
+    state = {name: array.copy() for name, array in environment.state().items()}
+    resumed = begin()
+    resumed.load_state(state)
+    np.testing.assert_array_equal(run(resumed, 10), run(environment, 10))
+    np.testing.assert_array_equal(resumed.observations, environment.observations)
+
+
 GROWING: dict[str, Any] = {
     "push_mps": 1.0, "push_steps": 1, "sensor_noise": 1.0, "mass_variation": 0.3, "friction_min": 0.4,
     "friction_max": 0.5, "stiffness_min": 0.2, "extra_delay_max": 2, "disturbance_growth": 0.25,

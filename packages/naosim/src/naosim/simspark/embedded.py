@@ -32,6 +32,7 @@ class EmbeddedSimulator(Simulator):
 
     # a reply describes the state before the cycle that its command starts
     latency_steps = 2
+    motors_follow_perceptors = True
 
     def __init__(self, robot: Robot, n: int, *, sensor_digits: int | None = 2, threads: int = 1) -> None:
         super().__init__(robot, n)

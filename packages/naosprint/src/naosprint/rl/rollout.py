@@ -11,7 +11,7 @@ from naospec.metrics import EPISODE_METRICS
 from naosprint.rl.learner import TrainingDivergedError
 from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.window import EpisodeWindow
-from naosprint.tasks.environment import STORES
+from naosprint.tasks.environment import PERCEIVED, STORES
 from naosprint.tasks.starts import choose_starts
 
 if TYPE_CHECKING:
@@ -170,9 +170,11 @@ class TrainingEnvironment:
     def upgraded_state(self, state: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
         """Return what :meth:`state` of an earlier version returned as this version's.
 
-        Earlier ones lack what stores keep and the task does not name: it continues as it is now.
+        Earlier ones lack what stores keep and the task does not name, and the noise that motors follow for one step:
+        these continue as they are now.
         """
-        kept = {name: value for name, value in self.state().items() if name.startswith(f"environment.{STORES}")}
+        added = (f"environment.{STORES}", f"environment.{PERCEIVED}")
+        kept = {name: value for name, value in self.state().items() if name.startswith(added)}
         return {**kept, **state}
 
     def load_state(self, state: Mapping[str, AnyArray]) -> None:

@@ -433,6 +433,11 @@ class Disturbances:
         """Mean strength of the disturbances from 0 to 1, if it grows."""
         return float(self._strength[self._disturbed].mean()) if self._grows and self._disturbed.any() else None
 
+    @property
+    def moves_motors(self) -> bool:
+        """Whether noise on joint angles reaches the motors."""
+        return "joint_angles" in self._noise and self._simulator.motors_follow_perceptors
+
     def critic_blocks(self) -> Sequence[ObservationBlock]:
         """Return what disturbs the robots, for critics: factors of friction, gravity and stiffness, and the delay."""
         named = (

@@ -35,6 +35,9 @@ SHORT_EPISODE_STEPS = 100
 TRAINING_STARTS = 256
 """Starts that a training chooses from, if there is start noise."""
 
+PERCEIVED = "perceived_angles"
+"""Joint angles with their noise, if motors follow these."""
+
 STORES = "stores."
 """Before the names of arrays of a state that stores keep and no list of arrays names."""
 
@@ -405,6 +408,8 @@ class Environment:
         snapshot = self.simulator.snapshot()
         if snapshot is not None:
             state["simulator"] = snapshot
+        if self.disturbances.moves_motors:
+            state[PERCEIVED] = self.world.perceptors["joint_angles"].copy()
         return state
 
     def load_state(self, state: Mapping[str, AnyArray]) -> None:
@@ -418,6 +423,8 @@ class Environment:
         self.world.actions[:] = state["actions"]
         self.world.previous_actions[:] = state["previous_actions"]
         self.simulator.restore(np.array(state["simulator"], dtype=np.uint8))
+        if PERCEIVED in state:
+            self.world.perceptors["joint_angles"][:] = state[PERCEIVED]
         self._freeze()
 
     def _freeze(self) -> None:
