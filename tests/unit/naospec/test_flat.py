@@ -93,6 +93,16 @@ def test_names_keep_their_meaning_and_a_plugins_are_prefixed(
     assert known["reward_scale"].plugins == ()
 
 
+def test_another_seed_moves_those_of_the_stages_along() -> None:
+    recipe = {"seed": 1, "stages": [{"steps": 512, "seed": 121}, {"steps": 512}, {"steps": 512, "seed": 0}]}
+    found = [TrainingSpec.model_validate(nest({"seed": seed}, recipe)) for seed in (1, 3, 0)]
+    assert [[stage.seed for stage in spec.stage_specs] for spec in found] == [
+        [121, 1, 0], [123, 3, 2], [120, 0, 2**31 - 1]
+    ]  # fmt: skip
+    assert found[0] == TrainingSpec.model_validate(recipe)
+    assert TrainingSpec.model_validate(found[0].written().with_settings({"seed": 3})) == found[1]
+
+
 def test_values_reach_the_settings_that_their_names_mean(greedy: None) -> None:
     spec = TrainingSpec.model_validate(nest({"task": "greedy", "learning_rate": 1e-3, "seed": 7, "task_seed": 4}))
     assert (spec.algorithm.learning_rate, spec.seed) == (1e-3, 7)

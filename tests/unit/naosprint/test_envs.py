@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
+from typing import Any
 
 import gymnasium
 import naosprint  # noqa: F401 - registers the environments
@@ -66,6 +67,27 @@ def test_seed_decides_the_start() -> None:
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
     assert not np.array_equal(other, following)
+
+
+def test_a_seed_decides_everything_random_and_environments_differ() -> None:
+    """Also what a training draws by robot: commands, pushes, noise, bodies."""
+    settings = {"robot": "t1", "engine": "fast", "command_steps": 5, "push_mps": 1.0, "push_steps": 3,
+                "sensor_noise": 1.0, "mass_variation": 0.2}  # fmt: skip
+    still = np.zeros(21, dtype=np.float32)
+
+    def episode(environment: Any, seed: int | None) -> bytes:
+        first = environment.reset(seed=seed)[0]
+        return np.array([first, *(environment.step(still)[0] for _ in range(12))]).tobytes()
+
+    single, other = (gymnasium.make("naosprint/Velocity-v1", **settings) for _ in range(2))
+    seen = [episode(single, seed) for seed in (7, None, 7, None, 8, None)]
+    assert seen[:2] == seen[2:4] and len(set(seen)) == 4
+    assert episode(other, 7) == seen[0]
+    assert episode(other, None) == seen[1]
+    fresh = [gymnasium.make("naosprint/Velocity-v1", **settings) for _ in range(2)]
+    assert len({episode(environment, None) for environment in fresh}) == 2
+    for environment in (single, other, *fresh):
+        environment.close()
 
 
 def test_falling_ends_the_episode_and_info_says_so() -> None:

@@ -106,7 +106,8 @@ class TrainingFields(BaseModel):
         ge=0,
         le=2**31 - 1,
         title="Seed",
-        description="Seed of initial weights, exploration, minibatches and starts.",
+        description="Seed of initial weights, exploration, minibatches and starts, except in stages with their own; "
+        "`--seed` moves these along.",
     )
     stages: tuple[Stage, ...] = Field(
         default=(),

@@ -124,6 +124,8 @@ def _unused(field: str, section: str, short: Mapping[str, tuple[str, ...]], *, b
 def nest(values: Mapping[str, Any], base: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return a specification's sections with ``values`` inserted, by short name or by path with dots.
 
+    Another seed moves those of the stages along, so that every stage of a recipe has another one, too.
+
     Args:
         values: ``{"learning_rate": 1e-4}`` or ``{"algorithm.learning_rate": 1e-4}``.
         base: specification to start from; it is not changed.
@@ -142,9 +144,25 @@ def nest(values: Mapping[str, Any], base: Mapping[str, Any] | None = None) -> di
             path = known[name].path
         else:
             raise KeyError(name)
+        if path == ("seed",):
+            result |= _moved_seeds(result, value)
         if len(path) == 1:
             result[path[0]] = value
         else:
             section = result.get(path[0])
             result[path[0]] = {**(section if isinstance(section, dict) else {}), path[1]: value}
     return result
+
+
+def _moved_seeds(spec: Mapping[str, Any], seed: Any) -> dict[str, Any]:
+    """Return the stages with their own seeds as far from ``seed`` as they are from the specification's."""
+    before, stages = spec.get("seed", 0), spec.get("stages")
+    if type(seed) is not int or type(before) is not int or not isinstance(stages, list | tuple):
+        return {}
+    own = [isinstance(stage, dict) and type(stage.get("seed")) is int for stage in stages]
+    return {
+        "stages": [
+            {**stage, "seed": (stage["seed"] + seed - before) % 2**31} if has_seed else stage
+            for stage, has_seed in zip(stages, own, strict=True)
+        ]
+    }

@@ -251,7 +251,12 @@ class EvaluationSpec(_Specification):
 
     episodes: int = Field(default=1000, ge=1, le=1_000_000, title="Episodes", description="Episodes to run.")
     seed: int = Field(
-        default=0, ge=0, le=2**31 - 1, title="Seed", description="Seed of the starts and of the bootstrap intervals."
+        default=0,
+        ge=0,
+        le=2**31 - 1,
+        title="Seed",
+        description="Seed of the starts and of the bootstrap intervals. One that the training has draws other starts "
+        "than it had there.",
     )
     task: Annotated[TaskSettings, PluginSection(plugins.TASKS, TaskSettings, given=True)] | None = Field(
         default=None,

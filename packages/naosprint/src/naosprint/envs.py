@@ -40,6 +40,8 @@ OBSERVATION_LIMIT = 1e6
 N_STARTS = 64
 """Starts that episodes begin from; each reset chooses one by the environment's own generator."""
 
+_STREAMS = 2**31
+
 
 def specification(**settings: Any) -> TrainingSpec:
     """Return the specification whose task, robot and simulator these settings choose.
@@ -60,7 +62,11 @@ def specification(**settings: Any) -> TrainingSpec:
 
 
 class _Robots:
-    """Robots that do a task, each with a generator that chooses its starts."""
+    """Robots that do a task, each with a generator that everything random follows from.
+
+    Attributes:
+        seeded: (n,) robots whose generator is new; with the next episode their random numbers begin again.
+    """
 
     def __init__(self, n: int, threads: int, settings: dict[str, Any]) -> None:
         self.spec = specification(**settings)
@@ -72,6 +78,7 @@ class _Robots:
             self.environment.close()
             raise
         self._n_starts = len(starts)
+        self.seeded: BoolArray = np.ones(n, dtype=np.bool_)
         self._metrics = [metric.name for metric in self.environment.task.metrics if metric.live]
         width, n_actions = len(self.environment.observer.names), self.environment.actuation.n_actions
         self.observation_space = spaces.Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (width,), np.float32)
@@ -83,8 +90,13 @@ class _Robots:
 
     def restart(self, rows: IntArray, generators: Sequence[np.random.Generator]) -> None:
         """Begin an episode with each of the robots ``rows``, from the start that its generator draws."""
-        starts = [generators[row].integers(self._n_starts) for row in rows.tolist()]
-        self.environment.restart(rows, np.array(starts, dtype=np.int64))
+        starts = np.zeros(len(self.seeded), dtype=np.int64)
+        starts[rows] = [generators[row].integers(self._n_starts) for row in rows.tolist()]
+        going, new = rows[~self.seeded[rows]], rows[self.seeded[rows]]
+        self.environment.restart(going, starts[going])
+        streams = [generators[row].integers(_STREAMS) for row in new.tolist()]
+        self.environment.restart(new, starts[new], episodes=np.array(streams, dtype=np.int64))
+        self.seeded[new] = False
 
     def info(self, row: int) -> dict[str, Any]:
         """Return the end and the task's metrics of an episode that has just ended."""
@@ -150,8 +162,13 @@ class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float32Array, dict[str, Any]]:
-        """Begin an episode and return its first observation; the start is chosen by the environment's generator."""
+        """Begin an episode and return its first observation.
+
+        Start, commands, disturbances and all else that is random follow from the environment's generator, and episodes
+        after a reset with a seed are those after every other reset with it.
+        """
         super().reset(seed=seed, options=options)
+        self._robots.seeded |= seed is not None
         self._robots.restart(np.array([0]), [self.np_random])
         self._poses.clear()
         self._watch()
@@ -237,6 +254,7 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
                 raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seeds)}")
             for row, one in enumerate(seeds):
                 if one is not None:
+                    self._robots.seeded[row] = True
                     self._generators[row] = seeding.np_random(one)[0]
         self._robots.restart(np.arange(self.num_envs), self._generators)
         self._ended[:] = False

@@ -26,7 +26,7 @@ from naojobs.ids import same_id
 from naojobs.models import Evaluation, Job, MetricsRecord, Study, StudyState, Trial, TrialState
 from naojobs.states import ENDED, WorkState
 from naojobs.submission import JobRequest, add_job
-from naospec import validation_words
+from naospec import TrainingSpec, validation_words
 from naospec.search import Choices, IntRange, Parameter, Pruning, SearchSpec
 from pydantic import ValidationError
 from sqlalchemy import func, select, text
@@ -391,7 +391,7 @@ class _Pass:
                     parent_job_id=parent.job_id,
                     parent_checkpoint_id=None,
                     parent_policy=None,
-                    spec=request.spec.model_copy(update={"seed": seed}),
+                    spec=TrainingSpec.model_validate(request.spec.written().with_settings({"seed": seed})),
                 )
             if not self._search.elsewhere:
                 row.job_id = self._submit(request, number)

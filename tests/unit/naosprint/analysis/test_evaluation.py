@@ -18,6 +18,8 @@ from naospec import EvaluationSpec
 from naosprint import CheckpointError, evaluate
 from naosprint.analysis.results import by_name
 from naosprint.arrays import FloatArray
+from naosprint.rl.policy import load_policy
+from naosprint.tasks.environment import open_environment
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.sprint import CHALLENGE_SCORE, Sprint1, SprintSettings, _challenge, deviation_deg, speeds_beyond
 from naosprint.tasks.world import World
@@ -239,8 +241,9 @@ SHORT = {"name": "velocity", "episode_steps": 250, "command_steps": 60}
             True,
         ),
         ("sprint", {"name": "sprint1", "sensor_noise": 1.0}, False),
+        ("t1-kick-steady", {"name": "kick", "friction_min": 0.5, "mass_variation": 0.2}, True),
     ],
-    ids=["pushes, noise and commands", "another robot, friction, gravity, delay", "exploration of a NAO"],
+    ids=["pushes, noise and commands", "another robot, friction, gravity, delay", "exploration of a NAO", "a walker"],
 )
 def test_the_number_of_environments_changes_no_result(policy: str, task: dict[str, Any], deterministic: bool) -> None:
     """Random numbers follow from seed and episode, not from the robot that happens to run it."""
@@ -270,6 +273,17 @@ def test_replay_is_the_middle_one_of_the_first_episodes(checkpoint: Path) -> Non
     np.testing.assert_allclose(replay.positions[:, 0, 2], paths.height[middle, :samples], atol=1e-5)
     np.testing.assert_allclose(replay.foot_forces[:, 0], paths.left_foot_force[middle, :samples], atol=1e-3)
     assert samples == int((~np.isnan(paths.x[middle])).sum())
+
+
+def test_an_evaluation_never_begins_as_its_training_did(checkpoint: Path) -> None:
+    """Also with its seed, which both have if none is given."""
+    training = load_policy(checkpoint)[1].spec
+    spec = EvaluationSpec(episodes=16, n_envs=16, seed=training.seed, trajectories=16)
+    environment = open_environment(training, 16, threads=1, seed=training.seed)
+    environment.load_starts(environment.task.starts(16, training.seed, training.task.start_noise_deg))
+    environment.restart(np.arange(16), np.arange(16), episodes=np.arange(16))
+    first = environment.simulator.truth.torso_position[:, 2].copy()
+    assert not np.isclose(evaluate(checkpoint, spec).trajectories.height[:, 0], first, atol=1e-7).any()
 
 
 def test_noisy_policy_differs_from_the_deterministic(checkpoint: Path) -> None:

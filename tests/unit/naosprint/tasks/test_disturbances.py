@@ -383,7 +383,8 @@ def test_impossible_disturbances_are_refused() -> None:
     ):
         parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), NAO)
         with pytest.raises(ValueError, match=named):
-            Environment(nao, Sprint1, parameters)
+            environment = Environment(nao, Sprint1, parameters)
+            environment.load_starts(environment.task.starts(1, 0, 0.0))
 
 
 class Look(Task[BallNoiseSettings]):

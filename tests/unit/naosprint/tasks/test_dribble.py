@@ -212,7 +212,7 @@ def test_results_count_lines_within_the_corridor() -> None:
     )
     assert found["line_rate"] == pytest.approx(2 / 4)
     assert found["corner_rate"] == pytest.approx(2 / 3)
-    assert found["kept_rate"] == pytest.approx(6 / 7)
+    assert found["kept_rate"] == pytest.approx(4 / 5)  # of those that were dribbled to their ends
     assert found["course_speed_mps"] == pytest.approx(LEG_M / (101 * STEP_S))
     assert found["farthest_m"] == pytest.approx(0.7, abs=1e-3)
 

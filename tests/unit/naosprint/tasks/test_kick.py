@@ -110,6 +110,23 @@ def test_the_first_observation_is_that_of_a_robot_in_motion() -> None:
 # --- another policy acts ----------------------------------------------------------------------------------------------
 
 
+def test_the_states_are_of_the_nominal_world() -> None:
+    """What a training varies does not reach the walker whose states it records."""
+    nominal = task_of(environment_of(4))._entered.states
+    varied = environment_of(4, friction_min=0.4, friction_max=0.5, mass_variation=0.3)
+    np.testing.assert_array_equal(task_of(varied)._entered.states.actions, nominal.actions)
+    assert (varied.disturbances._world[:, 0] <= 0.5).all()
+
+
+def test_with_a_delay_a_state_s_command_acts_until_the_first_of_the_episode_does() -> None:
+    environment = environment_of(4, extra_delay=2)
+    last = environment.actuation.targets(environment.world.actions.copy())
+    assert np.abs(last - PITCHED.nominal).max(axis=1).min() > 0.05  # it walks
+    for targets in (last, last, last + 1.0):
+        acting = environment.disturbances.delayed(last + 1.0, slice(0, 4))
+        np.testing.assert_array_equal(acting, targets)
+
+
 def test_a_frozen_policy_names_what_it_misses() -> None:
     block = ObservationBlock(("gravity_x",), lambda rows: np.zeros((1, 1)))
     with pytest.raises(ValueError, match="t1-run cannot act here: it observes action_left_ankle_pitch, "):

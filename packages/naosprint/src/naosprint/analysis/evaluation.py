@@ -47,6 +47,8 @@ REPLAY_CANDIDATES = 5
 
 _DROPPED = -1  # episode number of samples that no longer count
 
+_UNSEEN = 2**31  # larger than every seed of a training
+
 
 @dataclass(frozen=True)
 class Trajectories:
@@ -151,15 +153,16 @@ def evaluate(
     """
     policy, manifest = load_policy(checkpoint)
     setting = spec.applied_to(manifest.stage_spec)
+    seed = _held_out(spec.seed, manifest.spec)
     n = min(spec.n_envs, spec.episodes)
     most = kinds.get(setting.simulator.name).max_robots()
-    environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=spec.seed)
+    environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=seed)
     try:
         _require_fit(environment, manifest.observations)
-        starts = environment.task.starts(spec.episodes, spec.seed, setting.task.start_noise_deg)
+        starts = environment.task.starts(spec.episodes, seed, setting.task.start_noise_deg)
         environment.load_starts(starts)
         world = environment.world
-        rng = None if spec.deterministic else Normals(spec.seed + 0xAC7, world.streams, world.steps)
+        rng = None if spec.deterministic else Normals(seed + 0xAC7, world.streams, world.steps)
         with one_blas_thread():
             recorder = _Recorder(environment, policy, spec.episodes, len(starts), rng)
             recorder.run(progress, stop)
@@ -240,6 +243,12 @@ def _require_declared(task: type[Task], results: Sequence[str]) -> None:
         )
     if twice := sorted({name for name in results if results.count(name) > 1}):
         raise ValueError(f"task {task.name}: summarize returned {', '.join(twice)} more than once; return one result")
+
+
+def _held_out(seed: int, training: TrainingSpec) -> int:
+    """Return a seed whose starts, states and commands the training has not seen: itself, unless it has it, too."""
+    seen = seed == training.seed or any(seed == stage.seed for stage in training.stages)
+    return seed + _UNSEEN if seen else seed
 
 
 class _Recorder:

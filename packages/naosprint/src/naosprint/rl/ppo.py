@@ -269,6 +269,7 @@ class PPO(Learner):
         frozen = environment.environment.task.frozen
         _require_finite(environment, observations, slice(0, n))
         rollout.observations[0], rollout.episode_starts[0] = observations, starts
+        bootstraps = self.settings.bootstrap_at_end and not environment.environment.task.ends_are_final
         # while the simulator computes for one group, another is processed here
         for step in range(n_steps + 1):
             if step < n_steps and stop():
@@ -285,7 +286,7 @@ class PPO(Learner):
                     rewards = rollout.rewards[step - 1, group]
                     normalizer.rewards(transition.rewards, transition.dones, group, rewards)
                     # where the episode could go on: r + gamma V(s')
-                    follows = ~transition.failed if self.settings.bootstrap_at_end else transition.truncated
+                    follows = ~transition.failed if bootstraps else transition.truncated
                     if len(follows) and follows.any():
                         last = normalizer.observations(transition.last_observations[follows])
                         rewards[transition.ended[follows]] += gamma * self._critic(last)[:, 0]

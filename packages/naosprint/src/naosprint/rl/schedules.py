@@ -78,4 +78,5 @@ def adapted_factor(spec: TrainingSpec, factor: float, kl: float, target: float |
     elif kl < target / 1.5:
         factor *= RATE_FACTOR
     rate = PPOSettings.of(spec.algorithm).learning_rate
-    return float(min(max(factor, RATE_RANGE[0] / rate), RATE_RANGE[1] / rate))
+    # a rate outside the range is where the user began, and is only approached from there
+    return float(min(max(factor, min(RATE_RANGE[0] / rate, 1.0)), max(RATE_RANGE[1] / rate, 1.0)))

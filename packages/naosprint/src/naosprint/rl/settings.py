@@ -186,7 +186,8 @@ class PPOSettings(LearnerSettings):
     bootstrap_at_end: bool = Field(
         default=_fast("bootstrap_at_end"),
         title="Bootstrap at the end",
-        description="Where an episode ends without a failure, estimate the value of the next state.",
+        description="Where an episode ends without a failure, estimate the value of the next state. Tasks that "
+        "are over then, such as a kick, have none.",
     )
 
     imitation_steps: int = Field(

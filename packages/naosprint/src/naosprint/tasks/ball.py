@@ -79,7 +79,14 @@ class BallSettings(
         description="Fastest commanded speed of the walker in these states.",
         json_schema_extra={"unit": "m/s"},
     )
-    fall_penalty: float = Field(default=6.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
+    fall_penalty: float = Field(
+        default=6.0,
+        ge=0.0,
+        le=1000.0,
+        title="Fall penalty",
+        description="Penalty for a fall. Where rewards are normalized, what is ten standard deviations of a return or "
+        "more counts as ten.",
+    )
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:

@@ -98,6 +98,8 @@ class Task(Plugin, Generic[Settings]):
         ends: reasons for which an episode ends.
         presentation: where metrics are shown.
         max_steps: length limit of an episode in steps.
+        ends_are_final: whether the task is over at its ends and its horizon, so that nothing could follow them and no
+            value is estimated there.
         horizon_is_terminal: whether reaching ``max_steps`` belongs to the task; otherwise it is a time limit.
         trace: names of what :meth:`trace_row` returns in evaluations.
         frozen: (n,) robots in which :meth:`take_over` replaces the next action, so that there is nothing to learn from
@@ -118,6 +120,7 @@ class Task(Plugin, Generic[Settings]):
     ends: ClassVar[tuple[End, ...]] = ()
     presentation: ClassVar[Presentation] = Presentation()
     max_steps: int = 1000
+    ends_are_final: bool = False
     horizon_is_terminal: bool = False
     trace: ClassVar[tuple[str, ...]] = ()
     frozen: BoolArray | None = None

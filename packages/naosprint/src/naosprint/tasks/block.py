@@ -219,6 +219,7 @@ class Block(BallTask[BlockSettings]):
         headline=("saved_rate", "stopped_rate", "fall_rate"),
         repeats=False,
     )
+    ends_are_final = True
     horizon_is_terminal = True
     velocity_share = _SHARE
     standing = 0.6

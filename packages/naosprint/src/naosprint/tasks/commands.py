@@ -116,7 +116,8 @@ class CommandSettings(AccelerationSettings):
         default=False,
         title="Ellipsoid of commands",
         description="Whether commands that combine speeds stay within the ellipsoid of the three largest ones: what "
-        "is drawn outside is shortened to it. Hardly any robot can turn, sidestep and run at its fastest at once.",
+        "is drawn outside is shortened to it. Hardly any robot can turn, sidestep and run at its fastest at once. "
+        "Straight commands are drawn alike and lose only their other parts, so few of them are near the fastest.",
     )
     command_growth: float = Field(
         default=0.0,

@@ -251,7 +251,7 @@ class Disturbances:
     Args:
         settings: of the task; those of `DisturbanceSettings` and `BallNoiseSettings`, each if it has them, say what to
             disturb, and how much.
-        simulator: the robots; how their bodies and worlds differ is drawn now.
+        simulator: the robots.
         seed: seed of all draws.
         streams: (n,) whose random numbers each robot gets, see ``World.streams``; by default its own.
 
@@ -279,7 +279,8 @@ class Disturbances:
         n, joints = simulator.n, len(simulator.robot.joints)
         self._count: IntArray = np.zeros(n, dtype=np.int64)
         self._least, self._most = settings.extra_delay, settings.extra_delay_max or settings.extra_delay
-        self._drawn = self._most > self._least or (self._most > 0 and settings.undisturbed_fraction > 0.0)
+        some = settings.undisturbed_fraction > 0.0 or settings.disturbance_probability < 1.0
+        self._drawn = self._most > self._least or (self._most > 0 and some)
         self._delay: IntArray = np.full(n, self._least)
         self._episode: IntArray = np.zeros(n, dtype=np.int64)
         self._waiting: FloatArray = np.zeros((self._most, n, joints))  # the latest command is the last
@@ -322,16 +323,24 @@ class Disturbances:
             or self._softens
             or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1)
         )
-        if self._varies:
-            rng, rows = np.random.default_rng([_STREAM, seed]), np.flatnonzero(self._disturbed)
-            self._world[rows, 1] = np.linspace(settings.gravity_min, 1.0, n)[rows]
-            if not self._redraws:
-                drawn = rng.uniform(settings.friction_min, settings.friction_max, n)[rows]
-                self._world[rows, 0] = np.where(self._kinds["friction"][rows], drawn, 1.0)
-                self._draw_stiffness(rows, rng)
-                simulator.vary([self._variation(row) for row in rows.tolist()], rng, rows)
         if settings.push_mps:
             simulator.push(np.zeros((n, 2)), slice(0, n))
+
+    def vary(self) -> None:
+        """Draw bodies and ground of all robots, unless every episode has its own.
+
+        States of other policies are recorded before, in the nominal world.
+        """
+        if not self._varies:
+            return
+        settings, n = self._settings, self._simulator.n
+        rng, rows = np.random.default_rng([_STREAM, self._seed]), np.flatnonzero(self._disturbed)
+        self._world[rows, 1] = np.linspace(settings.gravity_min, 1.0, n)[rows]
+        if not self._redraws:
+            drawn = rng.uniform(settings.friction_min, settings.friction_max, n)[rows]
+            self._world[rows, 0] = np.where(self._kinds["friction"][rows], drawn, 1.0)
+            self._draw_stiffness(rows, rng)
+            self._simulator.vary([self._variation(row) for row in rows.tolist()], rng, rows)
 
     def draw_by_episode(self, rows: IntArray, episodes: IntArray) -> None:
         """Give robots the random numbers of these episodes, whichever robot runs them."""
@@ -417,8 +426,7 @@ class Disturbances:
 
     def begin(self, rows: IntArray) -> None:
         """Discard the commands of earlier episodes of the robots ``rows``, and draw the delay of the new ones."""
-        if len(self._waiting):
-            self._waiting[:, rows] = self._simulator.robot.nominal
+        self.hold(rows, self._simulator.robot.nominal)
         if self._drawn or self._redraws:
             self._episode[rows] += 1
         if self._drawn:
@@ -427,6 +435,11 @@ class Disturbances:
             drawn = self._least + (part * (most + 1 - self._least)).astype(np.int64)
             self._delay[rows] = np.where(self._kinds["delay"][rows], drawn, 0)
             self._acts[rows, 0] = self._delay[rows]
+
+    def hold(self, rows: IntArray, targets_rad: FloatArray) -> None:
+        """Hold (k, J) or (J,) targets until the first commands of new episodes of the robots ``rows`` act."""
+        if len(self._waiting):
+            self._waiting[:, rows] = targets_rad
 
     @property
     def strength(self) -> float | None:

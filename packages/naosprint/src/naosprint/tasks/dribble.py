@@ -111,7 +111,7 @@ KEPT = Metric(
     "kept_rate",
     "Ball kept close",
     "%",
-    f"Fraction of the lines on which the ball is never more than {LEAD_M:g} m ahead.",
+    f"Fraction of the lines dribbled to their ends on which the ball is never more than {LEAD_M:g} m ahead.",
     1,
     "higher",
     "rate",
@@ -442,7 +442,7 @@ class Dribble(BallTask[DribbleSettings]):
         results = (
             rate(LINE, [leg is not None and leg.passed for leg in first]),
             rate(CORNER, [leg.passed for leg in begun]),
-            rate(KEPT, [leg.farthest <= LEAD_M for leg in legs]),
+            rate(KEPT, [leg.farthest <= LEAD_M for leg in legs if leg.complete]),
             statistics.mean(COURSE_SPEED, [LEG_M / leg.seconds for leg in passed]),
             statistics.median(FARTHEST, [leg.farthest for leg in legs]),
             statistics.rate(FALL_RATE, episodes.ends["fallen"]),
@@ -454,7 +454,8 @@ class _Leg:
     """What became of one line of a course.
 
     Attributes:
-        passed: whether the ball was dribbled to its end within the corridor.
+        complete: whether the ball was dribbled to its end.
+        passed: whether it was, within the corridor.
         seconds: time that it took.
         farthest: largest distance of the ball ahead of the torso, metres.
     """
@@ -463,7 +464,8 @@ class _Leg:
         ball, line, direction = rows[:, :2], rows[0, 4:6], rows[0, 6]
         reached, offset = components(np.array(direction), ball - line)
         inside = (np.abs(offset) <= CORRIDOR_HALF_M) | (np.maximum.accumulate(reached) < free_m)
-        self.passed = bool((over or reached[-1] >= LEG_M) and inside.all())
+        self.complete = bool(over or reached[-1] >= LEG_M)
+        self.passed = self.complete and bool(inside.all())
         self.seconds = len(rows) * STEP_S
         self.farthest = float(rows[1:, 2].max()) if len(rows) > 1 else 0.0
 

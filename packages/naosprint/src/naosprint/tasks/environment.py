@@ -211,6 +211,7 @@ class Environment:
         Raises:
             ValueError: if an episode that begins with one of them ends at once.
         """
+        self.disturbances.vary()
         self.simulator.load_starts(starts)
         rows = np.arange(min(self.n, len(starts)))
         self.restart(rows, rows)
@@ -254,14 +255,18 @@ class Environment:
         self.disturbances.begin(rows)
         if self._program is not None:
             self._program.begin(rows)
-            return
-        world.steps[rows] = 0
-        world.actions[rows] = 0.0
-        world.previous_actions[rows] = 0.0
-        self.task.begin(rows)
-        self.observer.begin(rows)
-        for flags in (self.failed, *self.ends.values()):
-            flags[rows] = False
+        else:
+            world.steps[rows] = 0
+            world.actions[rows] = 0.0
+            world.previous_actions[rows] = 0.0
+            self.task.begin(rows)
+            self.observer.begin(rows)
+            for flags in (self.failed, *self.ends.values()):
+                flags[rows] = False
+        # with a delay, the latest action of a state that an episode begins with acts until the first of its own
+        entered = rows[world.actions[rows].any(axis=1)]
+        if len(entered):
+            self.disturbances.hold(entered, self.actuation.targets(world.actions[entered]))
 
     def step(self, actions: FloatArray | Float32Array, active: BoolArray | None = None) -> FloatArray:
         """Take one step of 20 ms with every active robot.

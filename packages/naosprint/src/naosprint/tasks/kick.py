@@ -119,6 +119,7 @@ class Kick(BallTask[KickSettings]):
         headline=("contact_rate", "upright_rate", "corridor_5_rate", "stop_error_deg", "power_distance_m"),
         repeats=False,
     )
+    ends_are_final = True
     horizon_is_terminal = True
     velocity_share = _CALM
 

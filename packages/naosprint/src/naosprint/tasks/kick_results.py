@@ -40,7 +40,14 @@ LAUNCH_ERROR = Metric(
 ROLL = Metric(
     "roll_m", "Roll", "m", "Distance that the kick lets the ball roll straight along an axis of the field.", 1
 )
-ROLL_ERROR = Metric("roll_error", "Roll error", "%", "Difference from the commanded roll as a share of it.", 0, "lower")
+ROLL_ERROR = Metric(
+    "roll_error",
+    "Roll error",
+    "%",
+    "Difference from the commanded roll as a share of it; 0 for power kicks.",
+    0,
+    "lower",
+)
 UPRIGHT_RATE = Metric(
     "upright_rate",
     "Upright after 3 s",

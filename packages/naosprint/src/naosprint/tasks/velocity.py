@@ -270,7 +270,14 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, Comma
         title="Tilt penalty",
         description="Penalty per step for the squared sine of the torso's tilt.",
     )
-    fall_penalty: float = Field(default=0.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
+    fall_penalty: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1000.0,
+        title="Fall penalty",
+        description="Penalty for a fall. Where rewards are normalized, what is ten standard deviations of a return or "
+        "more counts as ten.",
+    )
 
     def for_evaluation(self) -> Self:
         """Return the settings without disturbances, from a stand, with all commands, in episodes of the usual length.
