@@ -14,6 +14,7 @@ import pytest
 from naosim.launchers import Address
 from naosprint.matches.agents import Limits
 from naosprint.matches.containers import RELAY_VARIABLE, ContainerAgents
+from naosprint.matches.doors import Doors
 from naosprint.matches.game import GameSettings, TeamFailedError, play_game
 from naosprint.matches.teams import Team, find_team, read_team
 
@@ -29,6 +30,7 @@ def tried(what):
 
 host, port, other = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 server = socket.create_connection((host, port), 10)
+server.sendall(b"\\0\\0\\0\\x10(init T1 left 1)")
 status = dict(line.split(":", 1) for line in open("/proc/self/status"))
 found = {
     "user": os.getuid(),
@@ -94,13 +96,16 @@ def test_an_agent_reaches_its_server_alone_and_has_limits(build: Builder, engine
     with socket.create_server(("0.0.0.0", 0)) as other, socket.create_server(("127.0.0.1", 0)) as server:
         number = other.getsockname()[1]
         team = build(f"python3 probe.py {{host}} {{port}} {number}", {"probe.py": PROBE})
-        agents = ContainerAgents(Address("127.0.0.1", server.getsockname()[1], number))
+        player = ("left", 1)
+        doors = Doors(Address("127.0.0.1", server.getsockname()[1], number), {player: True})
+        agents = ContainerAgents()
         try:
-            agent = agents.start(team, "left", 1, 1, Limits(cpu_s=60, memory_mb=128))
+            agent = agents.start(team, *player, 1, doors.folder(player), Limits(cpu_s=60, memory_mb=128))
             server.settimeout(60)
             client, _ = server.accept()
             with client, client.makefile("rb") as lines:
                 client.settimeout(60)
+                assert lines.read(20)[4:] == b"(init T1 left 1)"
                 found = json.loads(lines.readline())
                 assert agent.alive()
                 client.sendall(b"more\n")
@@ -110,6 +115,7 @@ def test_an_agent_reaches_its_server_alone_and_has_limits(build: Builder, engine
             agent.stop()
         finally:
             agents.close()
+            doors.close()
     assert found["user"] == 10001
     assert (found["capabilities"], found["no new privileges"]) == (0, 1)
     assert found["interfaces"] == ["lo"]
@@ -121,7 +127,7 @@ def test_an_agent_reaches_its_server_alone_and_has_limits(build: Builder, engine
     assert "out of memory" in words
     assert not agent.alive()
     assert containers(engine) == before
-    assert not agents._folder.exists()
+    assert not doors.folder(player).exists()
 
 
 def test_a_missing_image_is_named(build: Builder, tmp_path: Path) -> None:

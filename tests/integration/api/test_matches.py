@@ -25,7 +25,7 @@ from naojobs.capabilities import Capabilities, match_task, waiting_reasons
 from naojobs.errors import LeaseLostError
 from naojobs.leases import Lease, MatchClaim
 from naojobs.matches import MatchRequest, StoredGame
-from naojobs.models import Checkpoint, Match, Worker
+from naojobs.models import Checkpoint, Match, MatchEvent, Worker
 from naojobs.outcomes import lose, succeed, transition
 from naojobs.retention import Retention, prune_checkpoints
 from naojobs.roles import Role
@@ -34,7 +34,7 @@ from naojobs.store import ArtifactStore, game_key
 from naospec import TrainingSpec
 from naosprint.matches.log import GameLog
 from naosprint.matches.results import match_results
-from sqlalchemy import select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -229,6 +229,17 @@ def submit(client: httpx.Client, *teams: str, **settings: Any) -> str:
     body = {"teams": list(teams), "games": 2, "players": 1, "half_s": 1.0, **settings}
     made: str = client.post("/matches", json=body).raise_for_status().json()["id"]
     return made
+
+
+def test_lines_of_a_match_count_as_rows(client: httpx.Client, sessions: Sessions) -> None:
+    match_id = submit(client, "example", "example")
+    claim = claim_work(sessions, Match, match_id, "worker-1")
+    assert claim is not None
+    for _ in range(2):
+        matches.append_lines(sessions, claim.lease, [("info", "a"), ("warning", "b")])
+    with sessions() as session:
+        rows = session.scalar(select(func.count()).where(MatchEvent.match_id == match_id))
+        assert session.get_one(Match, match_id).row_count == rows == 6
 
 
 def test_a_claim_is_fenced_and_complete(client: httpx.Client, sessions: Sessions, store: ArtifactStore) -> None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
 import naopolicies
 import pytest
-from naojobs import outcomes, records
+from naojobs import outcomes, policies, records, studies, submission
 from naojobs.leases import Lease
-from naojobs.models import Checkpoint, Job
+from naojobs.models import Checkpoint, Job, PolicyRecord, Study
 from naojobs.promotion import MAX_ALIASES
 from naojobs.records import MetricsRow
 from naojobs.retention import Retention, prune_checkpoints
@@ -54,7 +55,7 @@ def evaluate(sessions: Sessions, store: ArtifactStore) -> Callable[..., str]:
 
     def evaluate(lease: Lease, checkpoint_id: str, speed: float, episodes: int = 10) -> str:
         key = f"jobs/{lease.job_id}/evaluations/{checkpoint_id}-{episodes}"
-        files = [store.put_bytes(f"{key}/replay.json", b'{"frames": []}').model_dump()]
+        files = [store.put_bytes(f"{key}/replay.json", b'{"frames": [%d]}' % episodes).model_dump()]
         result = {"name": "top_speed_mps", "title": "Top speed", "unit": "m/s", "value": speed, "digits": 2}
         summary = {"episodes": episodes, "results": [result], "headline": ["top_speed_mps"], "tables": []}
         spec = EvaluationSpec(episodes=episodes)
@@ -144,7 +145,13 @@ def test_a_card_has_metrics_and_lineage(
     )
     assert (last["spec_sha256"], last["parent_policy"]) == (spec.digest(), f"{name}@1")
     assert (card["steps"], card["training_s"]) == (150, 15)
-    assert client.get(f"/policies/{name}@2/replay").json() == {"frames": []}
+    replay = client.get(f"/policies/{name}@2/replay")
+    assert replay.json() == {"frames": [20]}
+    assert replay.headers["cache-control"] == "private, no-cache" and "Authorization" in replay.headers["vary"]
+    known = {"If-None-Match": replay.headers["etag"]}
+    assert client.get(f"/policies/{name}@2/replay", headers=known).status_code == 304
+    evaluate(lease, point, 3.5, episodes=30)
+    assert client.get(f"/policies/{name}@2/replay", headers=known).json() == {"frames": [30]}
     assert client.get(f"/policies/{name}@1/replay").status_code == 404, "it has not been evaluated"
 
 
@@ -303,6 +310,50 @@ def test_a_training_starts_from_a_policy_by_name(
     assert submit(name, parent_job_id=lease.job_id).status_code == 422
 
 
+def test_a_version_stays_while_a_study_starts_from_it(
+    client: httpx.Client, name: str, train: Callable[..., Any], sessions: Sessions
+) -> None:
+    """All trials start from the version that the name meant when the study began; the same key finds it ever after."""
+    lease, (point,) = train(100)
+    register(client, name, lease, point)
+    outcomes.transition(sessions, lease, WorkState.FAILED, error="enough")
+    search = {"space": {"learning_rate": {"type": "float", "low": 1e-4, "high": 1e-3}}}
+    body = {"search": search, "job": {"parent_policy": name, "evaluation": None}}
+
+    def begin() -> httpx.Response:
+        return client.post("/studies", json=body, headers={"Idempotency-Key": name})
+
+    study = begin().json()["id"]
+    for path in (f"/policies/{name}/versions/1", f"/policies/{name}"):
+        refused = client.delete(path)
+        assert refused.status_code == 409
+        assert refused.json()["detail"] == f"study {study} uses {name}@1; wait for its end, or cancel it"
+    with sessions.begin() as session:
+        trial = studies.trial_job(studies.job_of(session.get_one(Study, study)), {"learning_rate": 5e-4})
+        job, _ = submission.add_job(session, trial, "alice", see_all=True)
+        assert (job.parent_policy, job.parent_checkpoint_id) == (f"{name}@1", point)
+    assert client.post(f"/studies/{study}/cancel").status_code == 200
+    assert client.delete(f"/policies/{name}").status_code == 204
+    answer = begin()
+    assert (answer.status_code, answer.json()["id"]) == (200, study)
+
+
+def test_a_version_that_a_study_is_about_to_start_from_is_not_deleted_meanwhile(
+    client: httpx.Client, name: str, train: Callable[..., Any], sessions: Sessions
+) -> None:
+    lease, (point,) = train(100)
+    register(client, name, lease, point)
+    with sessions() as session:
+        policy_id = session.scalars(select(PolicyRecord.id).where(PolicyRecord.name == name)).one()
+    with ThreadPoolExecutor(1) as pool:
+        with sessions.begin() as session:
+            policies.find(session, PolicyRecord.id == policy_id, f"{name}@1", keep=True)
+            deletion = pool.submit(policies.delete_version, sessions, policy_id, 1)
+            with pytest.raises(TimeoutError):
+                deletion.result(0.5)
+        deletion.result(30)
+
+
 def test_the_lineage_begins_with_that_of_a_bundled_policy(
     client: httpx.Client, name: str, train: Callable[..., Any]
 ) -> None:
@@ -432,6 +483,11 @@ def test_a_successor_is_no_worse(
         ({"result": "fall_rate", "most": 0.1, "conditions": {"friction_min": 0.6}}, "needs other friction"),
         ({"result": "fall_rate", "most": 0.1, "simulator": "nowhere"}, "nowhere"),
         ({"result": "Fall rate", "most": 0.1}, "result"),
+        ({"result": "fal_rate", "most": 0.1}, "has no result 'fal_rate'; choose one of "),
+        (
+            {"result": "flight_share", "no_worse": True},
+            "flight_share has no better direction; give most or least instead",
+        ),
     ],
 )
 def test_a_requirement_that_nothing_could_meet_is_refused(

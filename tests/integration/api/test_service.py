@@ -394,6 +394,20 @@ def test_an_owner_whose_jobs_fill_the_disk_starts_no_more(
                 answer = client.post(path, json=body)
                 assert answer.status_code == (429 if refused else 202 if "evaluations" in path else 201), answer.text
                 assert refused in answer.text
+    key = {"Idempotency-Key": "known"}
+    with httpx.Client(base_url=start_api(api_max_rows=rows + 9).url, headers=headers | key, timeout=20) as client:
+        space = {"learning_rate": {"type": "float", "low": 1e-4, "high": 1e-3}}
+        requests: tuple[tuple[str, Any], ...] = (
+            ("/jobs", {}),
+            ("/groups", {"job": {}, "seeds": [1]}),
+            (f"/jobs/{lease.job_id}/evaluations", {}),
+            ("/studies", {"search": {"space": space}, "job": {}}),
+            ("/matches", {"teams": ["example", "example"], "games": 1}),
+        )
+        first = [client.post(path, json=body).raise_for_status().json()["id"] for path, body in requests]
+    with httpx.Client(base_url=start_api(api_max_rows=rows).url, headers=headers | key, timeout=20) as client:
+        again = [client.post(path, json=body) for path, body in requests]
+    assert [(answer.status_code, answer.json()["id"]) for answer in again] == [(200, each) for each in first]
     headers = {"Authorization": f"Bearer {make_token('modest', 'submit')}"}
     with httpx.Client(base_url=start_api(api_max_bytes=1, api_max_rows=1).url, headers=headers, timeout=20) as client:
         assert client.post("/jobs", json={}).status_code == 201

@@ -17,15 +17,16 @@ import pytest
 from naojobs import leases, outcomes, records, requests, studies, webhooks
 from naojobs.errors import ConflictError
 from naojobs.leases import Lease
-from naojobs.models import Delivery, Evaluation, Job, Webhook
+from naojobs.models import Delivery, Evaluation, Job, Token, Webhook
 from naojobs.states import WorkState
 from naojobs.studies import StudyRequest
 from naojobs.submission import JobRequest
+from naojobs.tokens import Scope, create_token, revoke
 from naojobs.webhooks import MessageType
 from naospec import EvaluationSpec
 from naospec.search import SearchSpec
 from naosprint_api.deliveries import Deliverer
-from sqlalchemy import delete, text
+from sqlalchemy import delete, func, or_, text, update
 from sqlalchemy.orm import Session, sessionmaker
 from standardwebhooks import Webhook as Verifier
 
@@ -463,6 +464,42 @@ def test_a_receiver_that_is_gone_gets_nothing_more(
     assert webhooks.get_webhook(sessions, webhook.id).disabled_at is not None
 
 
+@pytest.mark.parametrize("end", ["revoked", "expired"])
+def test_a_webhook_ends_with_the_token_that_made_it(
+    sessions: Sessions, run_job: Callable[..., Lease], receiver: Receiver, end: str
+) -> None:
+    """It could else tell a thief of the token about all later jobs of the owner."""
+
+    def make(**options: Any) -> tuple[str, Webhook]:
+        token_id, _ = create_token(sessions, name="", owner="alice", scopes=[Scope.SUBMIT], **options)
+        events = [MessageType.JOB_ENDED]
+        return token_id, webhooks.create_webhook(
+            sessions, owner="alice", url=receiver.url, events=events, token_id=token_id
+        )
+
+    first, _ = make()
+    make(parent_id=first)
+    _, other = make()
+    end_job(sessions, run_job())
+    if end == "revoked":
+        revoke(sessions, first)
+    else:
+        with sessions.begin() as session:
+            session.execute(
+                update(Token).where(or_(Token.id == first, Token.parent_id == first)).values(expires_at=func.now())
+            )
+    assert deliver(sessions) == 1
+    end_job(sessions, run_job())
+    assert deliver(sessions) == 1
+    with sessions() as session:
+        assert [hook.id for hook in session.query(Webhook) if hook.disabled_at is None] == [other.id]
+    given_up = [delivery for delivery in outbox(sessions) if delivery.delivered_at is None]
+    assert [(d.next_at, d.attempts) for d in given_up] == [(None, 0)] * 2
+    assert "token" in str(given_up[0].error)
+    with pytest.raises(ConflictError, match="use another one"):
+        webhooks.create_webhook(sessions, owner="alice", url=receiver.url, events=MessageType, token_id=first)
+
+
 def test_messages_are_given_up_and_forgotten_after_days(
     sessions: Sessions, subscribe: Callable[..., Webhook], run_job: Callable[..., Lease], receiver: Receiver
 ) -> None:
@@ -504,11 +541,13 @@ def api(start_api: Callable[..., Any]) -> Any:
     return start_api(api_webhook_networks="127.0.0.1/32", api_webhook_poll_s=0.05, api_max_webhooks=3)
 
 
-def test_a_webhook_from_its_making_to_its_end(client: httpx.Client, receiver: Receiver) -> None:
+def test_a_webhook_from_its_making_to_its_end(client: httpx.Client, sessions: Sessions, receiver: Receiver) -> None:
     answer = client.post("/webhooks", json={"url": receiver.url, "events": ["job.ended"]})
     assert answer.status_code == 201
     made = answer.json()
     assert made["secret"].startswith("whsec_")
+    with sessions() as session:
+        assert session.get_one(Token, webhooks.get_webhook(sessions, made["id"]).token_id).owner == "alice"
     shown = {name: value for name, value in made.items() if name != "secret"}
     listed = client.get("/webhooks")
     assert listed.json()["items"] == [shown] and made["secret"] not in listed.text

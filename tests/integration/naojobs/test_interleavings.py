@@ -25,7 +25,7 @@ from naojobs.quotas import Quota
 from naojobs.settings import ServiceSettings
 from naojobs.states import LEASED, WorkState
 from naojobs.studies import StudyRequest
-from naojobs.submission import EvaluationRequest, JobRequest
+from naojobs.submission import EvaluationRequest, GroupRequest, JobRequest
 from naospec.search import SearchSpec
 from naosprint_worker.context import WorkerContext
 from naosprint_worker.memory import MemoryBudget
@@ -273,19 +273,26 @@ def test_a_cancel_that_was_acknowledged_is_kept_however_the_child_ends(context: 
     assert world.check() is WorkState.CANCELLED
 
 
-def test_quotas_are_waited_for_before_rows_are_locked(sessions: Sessions) -> None:
-    """One order for all: what had locked a row and waited for a quota was awaited by what had the quota already."""
+def test_quotas_and_names_are_waited_for_before_rows_are_locked(sessions: Sessions) -> None:
+    """One order for all: what had locked a row and waited for a quota was awaited by what had the quota already.
+
+    So it was with names: a pass over a population submits several jobs, each with a parent, in one transaction.
+    """
     limits = dict.fromkeys(Quota, 1_000_000)
     seen: list[str] = []
 
     def note(_connection: object, _cursor: object, statement: str, parameters: Any, *_: object) -> None:
-        if "pg_advisory_xact_lock" in statement and (quota := re.search("quota [A-Z_]+", str(parameters))):
-            seen.append(quota[0])
+        if "pg_advisory_xact_lock" in statement and (held := re.search("quota [A-Z_]+|name:", str(parameters))):
+            seen.append(held[0])
         elif re.search("FOR (NO KEY )?(UPDATE|KEY SHARE|SHARE)|^INSERT|^UPDATE", statement):
             seen.append("row")
 
     def job(**fields: Any) -> str:
         return submission.submit(sessions, JobRequest(**fields), owner="alice", limits=limits)[0].id
+
+    def group(parent: str) -> object:
+        wanted = GroupRequest(JobRequest(parent_job_id=parent), seeds=[1, 2])
+        return submission.submit_group(sessions, wanted, owner="alice", limits=limits)
 
     def study() -> str:
         space = {"learning_rate": {"type": "float", "low": 1e-4, "high": 1e-3}}
@@ -303,9 +310,10 @@ def test_quotas_are_waited_for_before_rows_are_locked(sessions: Sessions) -> Non
     wanted = policies.Registration(trained, notes="fast")
     actions: dict[str, Callable[[], object]] = {
         "submit": lambda: job(parent_job_id=parent),
+        "group": lambda: group(parent),
         "retry": lambda: requests.retry(sessions, Job, ended, limits=limits),
         "resume": lambda: requests.resume(sessions, paused, limits=limits),
-        "edit": lambda: submission.edit(sessions, parent, notes="slow", priority=7, limits=limits),
+        "edit": lambda: submission.edit(sessions, parent, name="slow", notes="slow", priority=7, limits=limits),
         "evaluate": lambda: submission.submit_evaluation(sessions, trained, EvaluationRequest(), limits=limits),
         "register": lambda: policies.register(sessions, "quick", wanted, limits=limits),
         "study": study,

@@ -602,6 +602,9 @@ def test_a_group_has_one_job_for_each_point_and_is_made_once(sessions: Sessions)
     assert created
     again, same, created = submission.submit_group(sessions, request, owner="alice", idempotency_key="g")
     assert (again, {job.id for job in same}, created) == (group, {job.id for job in jobs}, False)
+    for seeds in ([1], [1, 2, 3]):  # a part of it, and more than it
+        with pytest.raises(ConflictError, match="use a new key"):
+            submission.submit_group(sessions, replace(request, seeds=seeds), owner="alice", idempotency_key="g")
 
 
 def test_a_group_with_one_bad_point_makes_no_job(sessions: Sessions) -> None:

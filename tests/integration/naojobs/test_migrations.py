@@ -116,6 +116,28 @@ def test_what_0022_dropped_is_filled_in_by_a_downgrade(empty: Engine) -> None:
         assert connection.execute(text("SELECT simulator FROM jobs WHERE id = 'b'")).scalar_one() == "server"
 
 
+def test_0030_keeps_the_checkpoint_that_a_study_starts_from(empty: Engine) -> None:
+    upgrade(url_of(empty), MIGRATIONS, "0029")
+    needs = "task, task_version, robot, simulator, algorithm"
+    with empty.begin() as connection:
+        for statement in (
+            f"INSERT INTO jobs (id, name, owner, spec, state, total_steps, {needs}) "
+            "VALUES ('j', '', 'a', '{}', 'failed', 1, 'sprint1', 1, 't1', 'server', 'ppo')",
+            "INSERT INTO checkpoints (id, job_id, attempt, step, key, manifest) VALUES ('c', 'j', 1, 1, 'k', '{}')",
+            "INSERT INTO policies (id, owner, name) VALUES ('p', 'a', 'quick')",
+            "INSERT INTO policy_versions (policy_id, number, checkpoint_id, notes, spec, spec_sha256, lineage) "
+            "VALUES ('p', 2, 'c', '', '{}', '', '[]')",
+            "INSERT INTO studies (id, name, owner, spec, job, state) "
+            """VALUES ('s', '', 'a', '{}', '{"parent_policy": "quick@2"}', 'running'), """
+            """('t', '', 'b', '{}', '{"parent_policy": "quick@2"}', 'running')""",
+        ):
+            connection.exec_driver_sql(statement)
+    upgrade(url_of(empty), MIGRATIONS)
+    with empty.begin() as connection:
+        kept = connection.execute(text("SELECT job->>'parent_checkpoint_id' FROM studies ORDER BY id")).scalars().all()
+    assert kept == ["c", None]
+
+
 def test_several_processes_may_migrate_at_once(empty: Engine) -> None:
     with ThreadPoolExecutor(2) as pool:
         futures = [pool.submit(upgrade, url_of(empty), MIGRATIONS) for _ in range(2)]

@@ -6,13 +6,15 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
-from naojobs import leases, requests, submission
+from naojobs import leases, outcomes, requests, submission
 from naojobs.capabilities import Capabilities, waiting_reasons
 from naojobs.errors import ConflictError
 from naojobs.models import Job
 from naojobs.submission import JobRequest
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
 
 Sessions = sessionmaker[Session]
 
@@ -51,10 +53,28 @@ def test_a_job_starts_at_its_time_or_later(sessions: Sessions) -> None:
     assert claim_next(sessions) == job.id
 
 
-def test_a_job_that_is_resumed_by_hand_does_not_wait(sessions: Sessions) -> None:
-    job = submit(sessions, not_before=datetime.now(UTC) + timedelta(days=1))
-    requests.request_pause(sessions, job.id)
-    requests.resume(sessions, job.id)
+@pytest.mark.parametrize("way", ["pause", "cancel"])
+def test_a_job_that_is_queued_again_keeps_its_time(sessions: Sessions, way: str) -> None:
+    """The user's, not that of the next attempt at a service which was gone."""
+    tomorrow = datetime.now(UTC) + timedelta(days=1)
+    job = submit(sessions, not_before=tomorrow)
+
+    def again() -> datetime | None:
+        if way == "pause":
+            requests.request_pause(sessions, job.id)
+            return requests.resume(sessions, job.id).not_before
+        requests.request_cancel(sessions, Job, job.id)
+        return requests.retry(sessions, Job, job.id).not_before
+
+    assert again() == tomorrow
+    assert claim_next(sessions) is None
+    with sessions.begin() as session:
+        session.execute(update(Job).where(Job.id == job.id).values(not_before=func.now() - timedelta(seconds=1)))
+    claim = claim_work(sessions, Job, job.id, "worker-1")
+    assert claim is not None
+    outcomes.postpone(sessions, claim.lease, "the store was gone")
+    assert claim_next(sessions) is None
+    assert again() is None
     assert claim_next(sessions) == job.id
 
 

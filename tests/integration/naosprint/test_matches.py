@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from naosim.launchers import Address
 from naosprint.__main__ import main
-from naosprint.matches.game import GameSettings, TeamFailedError
+from naosprint.matches import game
+from naosprint.matches.doors import Doors
+from naosprint.matches.game import GameSettings, TeamFailedError, play_game
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import play_match
 from naosprint.matches.results import match_results
-from naosprint.matches.stream import PLAY_MODES
-from naosprint.matches.teams import read_team
+from naosprint.matches.stream import PLAY_MODES, Player
+from naosprint.matches.teams import Team, read_team
 
 pytestmark = pytest.mark.timeout(600)  # seconds of play on servers that share a busy machine
 
@@ -63,6 +69,67 @@ def write_team(folder: Path, program: str) -> Path:
     command = ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}"]
     (folder / "team.json").write_text(json.dumps({"command": command}))
     return folder
+
+
+ENTERING = """
+import socket, sys
+host, port, team, number, *first = sys.argv[1:]
+def enter(text):
+    server = socket.create_connection((host, int(port)))
+    def send(text):
+        server.sendall(len(text).to_bytes(4, "big") + text.encode())
+    send(text)
+    while size := int.from_bytes(server.recv(4, socket.MSG_WAITALL), "big"):
+        server.recv(size, socket.MSG_WAITALL)
+        send("(syn)")
+for player in first or [f"{team} {number}"]:
+    try:
+        enter(f"(init T1 {player})")
+    except ConnectionError:
+        pass
+"""
+
+
+def entering(folder: Path, *first: str) -> Team:
+    """Return a team whose agents stand, and enter first as other players if some are named."""
+    write_team(folder, ENTERING)
+    content = json.loads((folder / "team.json").read_text())
+    (folder / "team.json").write_text(json.dumps({"command": [*content["command"], *first]}))
+    return read_team(folder)
+
+
+def test_an_agent_enters_as_its_own_player_alone(tmp_path: Path) -> None:
+    """Not in place of an opponent, and not as one more of its team."""
+    cheat, honest = entering(tmp_path / "cheat", "right 1", "left 2", "{team} {number}"), entering(tmp_path / "honest")
+    (log,) = play_match((cheat, honest), ("a", "b"), 1, GameSettings(players=1, half_s=1.0), tmp_path / "logs")
+    assert log.robots == [(0, 1), (1, 1)]
+    assert log.present.all() and log.notes["halves"][0]["lost"] == []
+
+
+def test_a_team_that_enters_under_another_name_is_told_what_to_send(tmp_path: Path) -> None:
+    team = entering(tmp_path / "misnamed", "red 1")
+    with pytest.raises(TeamFailedError, match=r"it began with '\(init T1 red 1\)', not with \(init MODEL left 1\)"):
+        play_game((team, team), ("a", "b"), 0, GameSettings(players=1, half_s=1.0))
+
+
+@pytest.mark.parametrize(("player", "team"), [("left 2", "team A: player 2"), ("red 1", "team 'red' of no agent: ")])
+def test_a_robot_that_is_no_agents_ends_the_game(
+    player: str, team: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has come past the doors, as a program can where the kernel does not keep it from the server's port."""
+    words = [sys.executable, "-P", "-c", ENTERING]
+    began: list[subprocess.Popen[bytes]] = []
+
+    class Opened(Doors):
+        def __init__(self, server: Address, players: Mapping[Player, bool]) -> None:
+            super().__init__(server, players)
+            began.append(subprocess.Popen([*words, server.host, str(server.agent_port), "", "", player]))
+
+    monkeypatch.setattr(game, "Doors", Opened)
+    standing = entering(tmp_path / "standing")
+    with pytest.raises(TeamFailedError, match=f"{team}.* entered the field past the doors of the agents"):
+        play_game((standing, standing), ("a", "b"), 0, GameSettings(players=1, half_s=1.0))
+    assert began[0].wait(30) == 0
 
 
 def test_an_agent_that_crashes_loses_its_player_and_not_the_match(tmp_path: Path) -> None:

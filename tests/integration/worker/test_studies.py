@@ -528,3 +528,5 @@ def test_trials_run_elsewhere(service: Service, conductor: Conductor) -> None:
     ]
     assert studies.pareto_front(SearchSpec.model_validate(study.spec), rows) == [0]
     assert [trial.values for trial in told(service, study.id)] == [[1.5], None, [0.5]]
+    with pytest.raises(ConflictError, match=f"study {study.name} is finished; extend it to continue"):
+        studies.tell(service.sessions, study.id, second.number, values=[2.0])

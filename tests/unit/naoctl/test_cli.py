@@ -193,9 +193,44 @@ def test_a_list_is_sorted_by_any_column(server: Any, naoctl: Callable[..., Ran],
     ran = naoctl("list", "--sort", "-x", "--columns", "name,x")
     assert [line.split() for line in ran.out.splitlines()] == [["Name", "x"], ["c", "3"], ["a", "1"], ["b", "-"]]
     assert [one["name"] for one in json.loads(naoctl("list", "--sort", "x", "--json").out)] == ["a", "c", "b"]
+    assert [one["name"] for one in json.loads(naoctl("list", "--sort", "-x", "-l", "1", "--json").out)] == ["c"]
+    assert json.loads(naoctl("list", "--columns", "name,top_speed_mps,algorithm.target_kl_final", "--json").out)[0] == {
+        "name": "a", "top_speed_mps": None, "algorithm.target_kl_final": None
+    }  # fmt: skip
     for option in ("--sort", "--columns"):
         ran = naoctl("list", option, "y")
-        assert ran.code == ExitCode.USAGE and "'y'" in ran.err
+        assert ran.code == ExitCode.USAGE and "'y'" in ran.err and "top_speed_mps" in ran.err
+
+
+def test_values_of_a_trial_can_be_negative_and_have_to_be_finite(server: Any, naoctl: Callable[..., Ran]) -> None:
+    study = {"id": "study_" + "1" * 26, "name": "outside"}
+    server.on("GET", "/studies")(lambda request: request.json({"items": [study], "next_cursor": None}))
+    server.on("GET", f"/studies/{study['id']}")(lambda request: request.json(study))
+    server.on("POST", f"/studies/{study['id']}/trials/0/tell")(lambda request: request.json({"number": 0}))
+    assert naoctl("study", "tell", "outside", "0", "-1.5", "2").code == 0
+    assert server.received[-1].body == {"values": [-1.5, 2.0]}
+    for value in ("nan", "-inf"):
+        ran = naoctl("study", "tell", "outside", "0", value)
+        assert ran.code == ExitCode.USAGE and "--failed REASON" in ran.err
+
+
+def test_a_version_that_does_not_exist_is_not_called_a_job(server: Any, naoctl: Callable[..., Ran]) -> None:
+    problem = {"title": "Not Found", "detail": "policy fast has no alias 'gone'", "status": 404}
+    server.on("GET", "/policies/fast@gone")(lambda request: request.json(problem, status=404))
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [], "next_cursor": None}))
+    ran = naoctl("eval", "fast@gone", "--no-wait")
+    assert ran.code == ExitCode.NOT_FOUND
+    assert "has no alias 'gone'" in ran.err and "no job" not in ran.err
+
+
+def test_the_beginning_of_a_worker_s_id_is_enough(server: Any, naoctl: Callable[..., Ran]) -> None:
+    workers = [{"id": f"vm:{pid}:8976ab", "jobs": []} for pid in (7802, 7903)]
+    server.on("GET", "/workers")(lambda request: request.json({"items": workers, "next_cursor": None}))
+    server.on("POST", "/workers/vm%3A7802%3A8976ab/drain")(lambda request: request.json(workers[0]))
+    problem = {"title": "Not Found", "detail": "no worker", "status": 404}
+    server.on("POST", "/workers/vm%3A7/drain")(lambda request: request.json(problem, status=404))
+    assert naoctl("workers", "drain", "vm:7802").out.startswith("vm:7802:8976ab: drained")
+    assert "There is no worker vm:7" in naoctl("workers", "drain", "vm:7").err
 
 
 def test_a_name_that_means_several_jobs_is_refused(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:

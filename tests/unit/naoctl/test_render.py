@@ -149,6 +149,24 @@ def test_the_list_fits_any_terminal_and_keeps_names_and_states_whole(
     assert "2.25 m" in text
 
 
+@pytest.mark.parametrize("width", [64, 72, 76, 80, 100])
+def test_long_names_are_folded_and_cut_results_say_so(job: Callable[..., dict[str, Any]], width: int) -> None:
+    metrics = {"distance_m": 0.4, "speed_mps": 0.46, "fall_rate": 0.979}
+    rows = [job(name="speed-batch_size-512", state="running", latest_metrics=metrics), job(name="n" * 60)]
+    lines = shown(render.jobs_table(rows, Descriptions(), width), width=width).splitlines()
+    assert max(map(len, lines)) <= width
+    assert "speed-batch_size-512" in lines[1] and "25%" in lines[1]
+    assert sum(line.count("n" * 8) for line in lines) >= 4
+    assert lines[1].rstrip().endswith(("…", "falls 97.9 %", "falls 97.9%"))
+
+
+def test_ids_stay_in_one_piece_beside_long_columns() -> None:
+    table = render.listing("ID", "Robots", "Works on")
+    table.add_row("vm:7802:8976ab12cd34", "k1, nao-0, nao-1, nao-2, nao-3, nao-4, t1", "job_01m7y0yae5d2d9p46g58mkcxxh")
+    text = shown(table, width=60)
+    assert "vm:7802:8976ab12cd34" in text and "…" not in text
+
+
 def test_a_list_of_several_tasks_shows_the_results_of_each(job: Callable[..., dict[str, Any]]) -> None:
     getup = job(spec={**job()["spec"], "task": {"name": "getup"}}, latest_metrics={"success_rate": 0.5})
     text = shown(render.jobs_table([job(), getup], Descriptions(), 100), width=100)

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 from ipaddress import ip_network
+from pathlib import Path
 
 import pytest
 from naojobs.webhooks import is_alert
@@ -48,6 +49,10 @@ def test_an_address_is_accepted_and_its_secrets_are_not_shown(url: str, shown: s
         ("ntfys://topic?attach=http://10.0.0.1/", "no parameter of that name here"),
         ("mailtos://u:p@example.org?pgpprv=/root/key", "no parameter of that name here"),
         ("mailtos://u:p@example.org?verify=no", "no parameter of that name here"),
+        (f"slack://{TOKENS}/#?template=file:///etc/passwd", "no parameter of that name here"),
+        (f"slack://{TOKENS}/?mode=hook;template=file:///etc/passwd", "no parameter of that name here"),
+        (f"slack://{TOKENS}/?mode=hook#&template=file:///etc/passwd", "no parameter of that name here"),
+        (f"slack://{TOKENS}/?%74emplate=file:///etc/passwd", "no parameter of that name here"),
         (f"slack://{TOKENS}/#general ", "without spaces"),
     ],
 )
@@ -59,7 +64,13 @@ def test_services_and_parameters_that_reach_further_are_refused(url: str, error:
 
 @pytest.mark.parametrize(
     "url",
-    ["mailto://u:p@127.0.0.1", "mailto://u:p@example.org?smtp=10.0.0.1", "ntfy://localhost/topic", "mmost://[::1]/x"],
+    [
+        "mailto://u:p@127.0.0.1",
+        "mailto://u:p@example.org?smtp=10.0.0.1",
+        "mailto://u:p@example.org?to=a@b.org;SMTP=10.0.0.1",
+        "ntfy://localhost/topic",
+        "mmost://[::1]/x",
+    ],
 )
 def test_hosts_that_are_not_public_are_refused(url: str) -> None:
     with pytest.raises(ValueError, match="expected a public address"):
@@ -77,6 +88,17 @@ def test_apprise_reads_the_addresses_of_all_services() -> None:
 def test_an_address_that_apprise_cannot_read_is_refused() -> None:
     assert "that apprise can read" in str(alerts.try_address("slack://short"))
     assert alerts.try_address(f"slack://{TOKENS}") is None
+
+
+@pytest.mark.parametrize("parameters", ["#?template=file://{}", "?silent=no;template=file://{}"])
+def test_no_alert_reads_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parameters: str) -> None:
+    """The process that sends it checks an address as apprise reads it, whatever was registered."""
+    monkeypatch.setattr(alerts, "DEADLINE_S", 300.0)
+    file = tmp_path / "none"
+    url = "tgram://123456789:abcdefg_hijklmnop/12315544/" + parameters.format(file)
+    body = '{"type": "job.ended", "data": {"name": "x", "state": "failed"}}'
+    for error in (alerts.try_address(url), alerts.send(url, body, ())):
+        assert "no parameter of that name here" in str(error) and str(file) not in str(error)
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,7 @@ def listening(answer: Callable[[socket.socket], None]) -> Iterator[int]:
 
 
 def post(url: str, *, deadline_s: float = 5.0) -> int:
-    return asyncio.run(Sender(LOOPBACK, deadline_s=deadline_s).post(url, {"x": "y"}, b"{}"))
+    return asyncio.run(Sender(LOOPBACK, deadline_s=deadline_s).post("alice", url, {"x": "y"}, b"{}"))
 
 
 def test_a_name_is_looked_up_once_and_only_allowed_addresses_are_connected_to(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,6 +157,43 @@ def test_a_name_is_looked_up_once_and_only_allowed_addresses_are_connected_to(mo
         with pytest.raises(RefusedAddressError):
             post(f"http://receiver.example:{port}/path")
     assert len(received) == 1
+
+
+def test_slow_name_servers_hold_up_only_their_owner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does a request of the same owner fail while it waits for a place."""
+    over = threading.Event()
+    look_up = socket.getaddrinfo
+
+    def slow(host: Any, *rest: Any, **named: Any) -> Any:
+        if host == "slow.example":
+            over.wait(60)
+        return look_up("127.0.0.1", *rest, **named)
+
+    def accept(connection: socket.socket) -> None:
+        connection.recv(4096)
+        connection.sendall(b"HTTP/1.1 204 No Content\r\n\r\n")
+
+    async def send(port: int) -> None:
+        sender = Sender(LOOPBACK, deadline_s=2.0, lookups=40)
+
+        def begin(owner: str, host: str) -> asyncio.Task[int]:
+            return asyncio.create_task(sender.post(owner, f"http://{host}:{port}/", {}, b"{}"))
+
+        held = [begin("mallory", "slow.example") for _ in range(40)]
+        assert await begin("alice", "receiver.example") == 204
+        waiting = begin("mallory", "receiver.example")
+        assert [type(error) for error in await asyncio.gather(*held, return_exceptions=True)] == [TimeoutError] * 40
+        await asyncio.sleep(0.2)
+        assert not waiting.done()
+        over.set()
+        assert await waiting == 204
+
+    monkeypatch.setattr(socket, "getaddrinfo", slow)
+    with listening(accept) as port:
+        try:
+            asyncio.run(send(port))
+        finally:
+            over.set()
 
 
 def test_redirects_are_not_followed() -> None:

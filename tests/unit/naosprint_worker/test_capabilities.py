@@ -113,7 +113,7 @@ def test_matches_of_teams_with_an_image_wait_for_workers_with_an_engine_and_a_re
         return {name.removesuffix("match") for name in tasks if name.endswith("match")}
 
     environment.setenv("NAOSPRINT_WORKER_QUEUES", "embedded")
-    environment.setattr(capabilities, "landlock_version", lambda: capabilities.NETWORK_VERSION)
+    environment.setattr(capabilities.confine, "missing", lambda: "")
     with ThreadingHTTPServer(("127.0.0.1", 0), Engine) as engine:
         thread = threading.Thread(target=engine.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
@@ -121,7 +121,7 @@ def test_matches_of_teams_with_an_image_wait_for_workers_with_an_engine_and_a_re
         assert kinds() == {"", "confined-"}
         environment.setenv("NAOSPRINT_RELAY_IMAGE", "python:3.11")
         assert kinds() == {"", "confined-", "container-", "confined-container-"}
-        environment.setattr(capabilities, "landlock_version", lambda: capabilities.NETWORK_VERSION - 1)
+        environment.setattr(capabilities.confine, "missing", lambda: "no Landlock")
         assert kinds() == {"", "container-"}
         engine.shutdown()
         thread.join()

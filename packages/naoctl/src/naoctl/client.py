@@ -111,6 +111,8 @@ class Client:
             )
         except httpx.TransportError as error:
             raise unreachable(self.target.url, error) from None
+        except ValueError as error:  # JSON has no word for nan
+            raise InvalidInput(f"{method} {path}: {error}", fix="Send finite numbers only.") from None
         raise_for_problem(response)
         if not response.content:
             return None

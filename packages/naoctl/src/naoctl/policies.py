@@ -83,7 +83,11 @@ def find_trained(client: Client, reference: str) -> Trained:
     try:
         return Trained(find_job(client, text))
     except CliError as error:
-        if error.code is not ExitCode.NOT_FOUND or (policy := find_policy(client, text)) is None:
+        if error.code is not ExitCode.NOT_FOUND:
+            raise
+        if "@" in text:
+            return _trained(client, known_policy(client, text))
+        if (policy := find_policy(client, text)) is None:
             raise
     return _trained(client, policy)
 

@@ -7,13 +7,14 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from naospec.metrics import format_value
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.progress_bar import ProgressBar
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from naoctl.descriptions import Descriptions, section_name, value_text
@@ -197,6 +198,8 @@ SHORT_ID = 6
 """Characters at the end of an id by which the list of jobs names it; its beginning is the time, which neighbours
 share.
 """
+NAME_WIDTH, RESULT_WIDTH = 8, 16
+"""Least widths of names, which are folded, and of results, which are shortened, while there is room."""
 WIDE, SUBMITTED_WIDTH, STEPS_WIDTH = 130, 95, 110
 """Least widths of a terminal from which the list of jobs shows whole ids, times of submission and numbers of steps."""
 
@@ -207,25 +210,37 @@ def stall_text(work: Json) -> str:
 
 
 def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 200) -> Table:
-    """Return a table of jobs with as many columns as fit; only results are shortened."""
-    table = listing()
-    table.add_column("ID", no_wrap=True, min_width=SHORT_ID)
-    table.add_column("Name", overflow="fold", min_width=8)
-    table.add_column("State", no_wrap=True, min_width=10)
+    """Return a table of jobs with as many columns as fit; names are whole, and only results are shortened."""
     shown = ["done"]
     shown += ["steps"] if width >= STEPS_WIDTH else []
     shown += ["submitted"] if width >= SUBMITTED_WIDTH else []
-    for name in shown:
-        table.add_column(COLUMNS[name][0], justify="right", no_wrap=True)
-    table.add_column("Result", no_wrap=True, overflow="ellipsis")
-    for job in jobs:
-        table.add_row(
-            job["id"] if width >= WIDE else job["id"][-SHORT_ID:],
+    headings = ["ID", "Name", "State", *(COLUMNS[name][0] for name in shown), "Result"]
+    rows = [
+        [
+            Text(job["id"] if width >= WIDE else job["id"][-SHORT_ID:]),
             cell(job["name"]),
             job_state(job),
-            *(COLUMNS[name][1](job) for name in shown),
+            *(Text(str(COLUMNS[name][1](job))) for name in shown),
             cell(", ".join(_results(job, descriptions)) or MISSING),
-        )
+        ]
+        for job in jobs
+    ]
+    widths = [max(cell_len(heading), *(row[i].cell_len for row in rows), 0) for i, heading in enumerate(headings)]
+    # what the other columns and the gaps leave is for names, and then for results
+    room = width - sum(widths[:1] + widths[2:-1]) - 2 * (len(headings) - 1)
+    name_width = max(NAME_WIDTH, min(widths[1], room - RESULT_WIDTH))
+    table = listing()
+    for heading, column in zip(headings, widths, strict=True):
+        match heading:
+            case "Name":
+                table.add_column(heading, overflow="fold", width=name_width)
+            case "Result":
+                table.add_column(heading, no_wrap=True, overflow="ellipsis", max_width=max(room - name_width, 1))
+            case _:
+                side: Literal["left", "right"] = "left" if heading in headings[:3] else "right"
+                table.add_column(heading, no_wrap=True, width=column, justify=side)
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -272,8 +287,9 @@ def _text(value: Any) -> str:
 
 
 def listing(*headings: str) -> Table:
-    """Return an empty table with these columns."""
-    return Table(*headings, box=None, pad_edge=False, header_style="bold")
+    """Return an empty table with these columns; nothing is cut, and ids stay in one piece to be copied."""
+    columns = [Column(each, overflow="fold", no_wrap=each == "ID") for each in headings]
+    return Table(*columns, box=None, pad_edge=False, header_style="bold")
 
 
 def pairs(rows: Iterable[tuple[str, RenderableType]]) -> Table:

@@ -124,7 +124,7 @@ def _reason(work: Work, workers: Sequence[Worker]) -> str | None:
     if any(_capabilities(worker).meets(work) for worker in workers):
         return None
     if isinstance(work, Match):
-        confined = ", uploaded teams Linux 6.7" if "confined" in work.task else ""
+        confined = ", uploaded teams Linux 6.12" if "confined" in work.task else ""
         image = ", teams with an image a Docker engine and NAOSPRINT_RELAY_IMAGE" if "container" in work.task else ""
         return f"no worker can play it: matches need the package rcsssmj and the queue embedded{confined}{image}"
     if not any(work.simulator in worker.simulators for worker in workers):

@@ -29,18 +29,19 @@ def change(work: AnyWork, target: WorkState) -> None:
         raise ConflictError(f"{work.kind} {work.id} is {work.state} and cannot become {target}")
     work.state = target
     work.updated_at = func.now()
+    if work.postponed:  # any change ends the wait for a service; the user's own time stays
+        work.not_before = None
+    if isinstance(work, Job) and (target is WorkState.EVALUATING or target not in LEASED):
+        work.yields_to = None  # an evaluation makes no room, so another training has to
     if target not in LEASED:
         if isinstance(work, Match):
             work.live = None
-        if isinstance(work, Job):
-            work.yields_to = None
         work.lease_owner = work.lease_generation = None
         work.lease_expires_at = None
         work.stalled_since = None
     if target is WorkState.QUEUED:
         work.queued_at = func.now()
         work.finished_at = None
-        work.not_before = None
     if target in ENDED:
         work.finished_at = func.now()
         work.cancel_requested = False

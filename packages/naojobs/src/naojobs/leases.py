@@ -155,7 +155,9 @@ def claim_next(
     models = tuple(models)
     while True:
         with sessions.begin() as session:
-            if session.scalar(select(Worker.drained_at).where(Worker.id == worker)) is not None:
+            # The lock lets a drain wait, which then finds what is claimed here.
+            row = select(Worker.drained_at).where(Worker.id == worker).with_for_update(read=True)
+            if session.scalar(row) is not None:
                 return None
             found: list[AnyWork] = []
             for model in models:

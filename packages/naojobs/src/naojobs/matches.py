@@ -16,7 +16,7 @@ from naojobs.database import Sessions, notify
 from naojobs.ids import new_id
 from naojobs.leases import Lease, held_by, hold_as, lost
 from naojobs.models import Match, MatchEvent, MatchGame
-from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
+from naojobs.quotas import NO_LIMITS, SPACE, Limits, Quota, require_room
 from naojobs.states import WorkState
 from naojobs.store import StoreManifest
 from naojobs.submission import digest_of, same_request
@@ -70,7 +70,7 @@ def submit_match(
             known = select(Match).where(Match.owner == owner, Match.idempotency_key == idempotency_key)
             if (earlier := session.scalar(known)) is not None:
                 return same_request(earlier, digest), False
-        require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS)
+        require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS, *SPACE)
         first, second = (find_team(session, owner, text, f"teams.{i}") for i, text in enumerate(request.teams))
         spec = MatchSpec(
             teams=(first, second),
@@ -139,6 +139,7 @@ def append_lines(sessions: Sessions, lease: Lease, lines: Iterable[tuple[str, st
         for level, text in lines:
             line = {"kind": level, "message": text[:MAX_LINE_CHARS]}
             session.add(MatchEvent(match_id=match.id, attempt=match.attempt, **line))
+            match.row_count += 1
         notify(session, match.id)
 
 

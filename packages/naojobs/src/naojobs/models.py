@@ -26,7 +26,9 @@ from sqlalchemy import (
     String,
     Text,
     UniqueConstraint,
+    and_,
     func,
+    or_,
     select,
     text,
 )
@@ -496,13 +498,15 @@ class Webhook(Base):
 
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     owner: Mapped[str] = mapped_column(String(200), index=True)
+    token_id: Mapped[str | None] = mapped_column(ForeignKey("tokens.id", ondelete="CASCADE"), index=True)
+    """The token that it was made with, and ends with; null for one that was made before this was kept."""
     url: Mapped[str]
     events: Mapped[list[str]]
     """Types of messages that it receives."""
     secret: Mapped[str]
     """Key of the signatures. Signing needs the key itself, so it is stored; the API shows it once. Empty for alerts."""
     disabled_at: Mapped[datetime | None]
-    """When its receiver answered 410 Gone; nothing is sent to it any more."""
+    """When its receiver answered 410 Gone or its token ended; nothing is sent to it any more."""
     failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))
     """Number of times in a row that sending to it failed, and when the next attempt may begin."""
     not_before: Mapped[datetime | None]
@@ -736,3 +740,8 @@ class Token(Base):
     revoked_at: Mapped[datetime | None]
     ticket_key: Mapped[str] = mapped_column(String(64), server_default=RANDOM_KEY)
     """Key that signs the addresses of reports opened with this token; no request or response contains it."""
+
+    @classmethod
+    def is_valid(cls) -> ColumnElement[bool]:
+        """Return the condition that a token is neither revoked nor expired."""
+        return and_(cls.revoked_at.is_(None), or_(cls.expires_at.is_(None), cls.expires_at > func.now()))

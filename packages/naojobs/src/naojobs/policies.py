@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session
 
 from naojobs import promotion
 from naojobs.changes import add_event, lock
-from naojobs.checkpoints import trained_checkpoint
+from naojobs.checkpoints import in_use, trained_checkpoint
 from naojobs.database import Sessions, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
@@ -169,13 +169,16 @@ def _point(session: Session, policy: PolicyRecord, alias: str, version: PolicyVe
     )
 
 
-def find(session: Session, owned: ColumnElement[bool], reference: str) -> tuple[PolicyRecord, PolicyVersion]:
+def find(
+    session: Session, owned: ColumnElement[bool], reference: str, *, keep: bool = False
+) -> tuple[PolicyRecord, PolicyVersion]:
     """Return a registered policy and the version that a reference names.
 
     Args:
         session: the database.
         owned: condition on `Policy` that selects whose policies count.
         reference: `NAME`, `NAME@3` or `NAME@alias`.
+        keep: whether a deletion of the version waits until the transaction has ended.
 
     Raises:
         NotFoundError: there is none.
@@ -193,6 +196,10 @@ def find(session: Session, owned: ColumnElement[bool], reference: str) -> tuple[
         owners = ", ".join(policy.owner for policy in found[:5])
         raise ConflictError(f"several owners have a policy {name!r}: {owners}; name one of them", "owner")
     (policy,) = found
+    if keep:
+        session.execute(
+            select(PolicyRecord.id).where(PolicyRecord.id == policy.id).with_for_update(read=True, key_share=True)
+        )
     statement = select(PolicyVersion).where(PolicyVersion.policy_id == policy.id)
     if wanted == LATEST:
         statement = statement.order_by(PolicyVersion.number.desc()).limit(1)
@@ -255,13 +262,14 @@ def remove_alias(sessions: Sessions, policy_id: str, alias: str) -> None:
 def delete_version(sessions: Sessions, policy_id: str, number: int) -> None:
     """Delete a version, and the policy with its last one; the checkpoint stays with its job.
 
-    Raises NotFoundError, and ConflictError if the version has an alias.
+    Raises NotFoundError, and ConflictError if the version has an alias or is in use.
     """
     with sessions.begin() as session:
         policy = _locked(session, policy_id)
         version = session.get(PolicyVersion, (policy_id, number))
         if version is None:
             raise NotFoundError(f"policy {policy.name} has no version {number}")
+        _require_unused(session, policy, version)
         held = [alias for alias, at in aliases_of(session, [policy_id]).get(policy_id, {}).items() if at == number]
         if held:
             message = f"{policy.name}@{number} has the aliases {', '.join(held)}; move or remove them first"
@@ -273,12 +281,25 @@ def delete_version(sessions: Sessions, policy_id: str, number: int) -> None:
 
 
 def delete_policy(sessions: Sessions, policy_id: str) -> None:
-    """Delete a policy with all versions and aliases; the checkpoints stay with their jobs. Raises NotFoundError."""
+    """Delete a policy with all versions and aliases; the checkpoints stay with their jobs.
+
+    Raises NotFoundError, and ConflictError if a version is in use.
+    """
     with sessions.begin() as session:
         policy = _locked(session, policy_id)
+        versions = select(PolicyVersion).where(PolicyVersion.policy_id == policy_id).order_by(PolicyVersion.number)
+        _require_unused(session, policy, *session.scalars(versions))
         for model in (PolicyAlias, PolicyVersion):
             session.execute(delete(model).where(model.policy_id == policy_id))
         policy.requirements = {}
+
+
+def _require_unused(session: Session, policy: PolicyRecord, *versions: PolicyVersion) -> None:
+    """Raise ConflictError if a running study or an open match uses one of these versions of a locked policy."""
+    users = in_use(session)
+    for version in versions:
+        if (user := users.get(version.checkpoint_id)) is not None:
+            raise ConflictError(f"{user} uses {policy.name}@{version.number}; wait for its end, or cancel it")
 
 
 def _locked(session: Session, policy_id: str) -> PolicyRecord:

@@ -15,7 +15,7 @@ from naojobs.capabilities import Capabilities
 from naojobs.changes import add_event
 from naojobs.database import Sessions
 from naojobs.leases import waiting
-from naojobs.models import AnyWork, Job, Match
+from naojobs.models import AnyWork, Job, Match, Worker
 from naojobs.states import WorkState
 
 YIELDING = (
@@ -36,7 +36,7 @@ def make_room(
 
     Of the worker's trainings it is the one of lowest priority, the last claimed first. One training makes room for
     each piece of work, and only after that has waited for `after_s` seconds, in which a free worker would have taken
-    it.
+    it. A drained worker makes room for nothing, since it would not claim it.
 
     Returns:
         The training and what it makes room for; None if nothing is that urgent.
@@ -46,7 +46,7 @@ def make_room(
         own = select(Job).where(Job.lease_owner == worker, *YIELDING)
         first = own.order_by(Job.priority, Job.started_at.desc(), Job.id.desc()).limit(1)
         job = session.scalar(first.with_for_update(skip_locked=True))
-        if job is None:
+        if job is None or session.scalar(select(Worker.drained_at).where(Worker.id == worker)) is not None:
             return None
         urgent = max(
             _urgent(session, capabilities, job.priority + by, after_s),

@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
-from naospec import EvaluationSpec, TrainingSpec, read_stored
+from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored
+from naospec.metrics import for_family
 from naospec.teams import ROBOT, SKILLS
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -90,13 +91,15 @@ def require(session: Session, policy: PolicyRecord, alias: str, requirements: Se
     """Replace what an alias requires; an empty sequence removes it.
 
     Raises:
-        InvalidError: if the policy's task has not the settings of a condition, if its robot cannot meet it, or if
-            `MAX_ALIASES` others have requirements.
+        InvalidError: if the policy's task has not the result or the settings of a condition, if its robot cannot meet
+            it, or if `MAX_ALIASES` others have requirements.
     """
     newest = session.scalars(
         select(PolicyVersion).where(PolicyVersion.policy_id == policy.id).order_by(PolicyVersion.number.desc()).limit(1)
     ).one()
     trained = read_stored(TrainingSpec, newest.spec)
+    task, family = plugins.load(plugins.TASKS, trained.stage_specs[-1].task.name), trained.stage_specs[-1].family
+    metrics = {metric.name: metric for metric in (*task.metrics, *for_family(family, task.results))}
     for number, requirement in enumerate(requirements):
         if requirement.result == MATCH:
             if _skill(newest) is None:
@@ -104,6 +107,15 @@ def require(session: Session, policy: PolicyRecord, alias: str, requirements: Se
                 message = f"{MATCH}: teams have no such skill; a skill is a {ROBOT}'s policy for task {tasks}"
                 raise InvalidError(message, f"requirements.{number}")
             continue
+        metric = metrics.get(requirement.result)
+        if metric is None:
+            message = (
+                f"task {task.name} has no result {requirement.result!r}; choose one of {', '.join(sorted(metrics))}"
+            )
+            raise InvalidError(message, f"requirements.{number}.result")
+        if requirement.no_worse and metric.better is None:
+            message = f"{requirement.result} has no better direction; give most or least instead"
+            raise InvalidError(message, f"requirements.{number}.no_worse")
         try:
             requirement.specification(trained.stage_specs[-1].task.name).applied_to(trained)
         except ValidationError as error:
@@ -162,6 +174,8 @@ def _unmet(
         standing = _result(session, requirement, before)
         if standing is None:
             return f"{requirement}: version {before.number}, which it names now, has no such evaluation; run one"
+        if not (result.get("interval") and standing.get("interval")):
+            return f"{requirement}: evaluations give {requirement.result} no interval; require most or least instead"
         if _worse(result, standing):
             return f"{requirement}: it is {value:g}, that of version {before.number} is {standing['value']:g}"
     return None
@@ -192,9 +206,8 @@ def _skill(version: PolicyVersion) -> str | None:
 
 
 def _worse(result: dict[str, Any], standing: dict[str, Any]) -> bool:
-    """Return whether a result's interval lies on the worse side of another's."""
-    low, high = result.get("interval") or (result["value"],) * 2
-    standing_low, standing_high = standing.get("interval") or (standing["value"],) * 2
+    """Return whether a result's interval lies on the worse side of another's; both have one."""
+    (low, high), (standing_low, standing_high) = result["interval"], standing["interval"]
     lower_is_better = result.get("better") == "lower"
     return bool(low > standing_high if lower_is_better else high < standing_low)
 

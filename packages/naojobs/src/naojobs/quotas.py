@@ -119,6 +119,9 @@ class Quota(Enum):
     """Rows of metrics, logs and events of jobs and matches."""
 
 
+SPACE = (Quota.BYTES, Quota.ROWS)
+"""What fills up while work runs: all that queues work requires room in it."""
+
 Limits: TypeAlias = Mapping[Quota, int]
 """What each owner may have at most; a quota that is left out has no limit."""
 NO_LIMITS: Limits = {}

@@ -14,7 +14,7 @@ from naojobs.changes import W, add_event, change, lock
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, NotFoundError
 from naojobs.models import AnyWork, Checkpoint, Job, Match, PolicyRecord, PolicyVersion
-from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room, wait_for_turn
+from naojobs.quotas import NO_LIMITS, SPACE, Limits, Quota, require_room, wait_for_turn
 from naojobs.states import ENDED, LEASED, OPEN, WorkState
 
 R = TypeVar("R", Job, Match)
@@ -132,14 +132,14 @@ def retry(sessions: Sessions, model: type[R], work_id: str, *, limits: Limits = 
     A job resumes from its last checkpoint; of a match only the games are played that are not over.
 
     Raises NotFoundError, ConflictError if it has not failed and is not cancelled, and QuotaError if its owner has as
-    many open jobs, or rows, as `limits` allow.
+    many open jobs, bytes or rows as `limits` allow.
     """
-    with _locked(sessions, model, work_id, limits, Quota.OPEN_JOBS, Quota.ROWS) as (session, work):
+    with _locked(sessions, model, work_id, limits, Quota.OPEN_JOBS, *SPACE) as (session, work):
         if work.state not in (WorkState.FAILED, WorkState.CANCELLED):
             what = f"only a failed or cancelled {work.kind} can be retried"
             hint = "use resume" if work.state is WorkState.PAUSED else f"submit a new {work.kind} instead"
             raise ConflictError(f"{work.kind} {work_id} is {work.state}; {what}; {hint}")
-        require_room(session, work.owner, limits, Quota.OPEN_JOBS, Quota.ROWS)
+        require_room(session, work.owner, limits, Quota.OPEN_JOBS, *SPACE)
         change(work, WorkState.QUEUED)
         work.failures = work.postponed = 0
         work.error = None

@@ -17,20 +17,29 @@ from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
+from naojobs import policies
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
 from naojobs.ids import new_id
-from naojobs.models import Study, StudyState, Trial, TrialState
-from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room, wait_for_turn
+from naojobs.models import PolicyRecord, Study, StudyState, Trial, TrialState
+from naojobs.quotas import NO_LIMITS, SPACE, Limits, Quota, require_room, wait_for_turn
 from naojobs.requests import cancel_open
-from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, same_request, with_parent
+from naojobs.submission import (
+    JobRequest,
+    check_evaluation,
+    check_fit,
+    free_name,
+    hold_names,
+    same_request,
+    with_parent,
+)
 from naojobs.webhooks import MessageType, publish
 
 MAX_FAILURES_IN_A_ROW = 5
 """Trials in a row that may fail before the study fails."""
 PARENT = ("parent_job_id", "parent_checkpoint_id", "parent_policy")
-"""Fields of a request that name the policy to start from."""
+"""Fields of a request that name the policy to start from; beside its name, its checkpoint is kept (`in_use`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +93,15 @@ def submit_study(
     digest = request.digest() if idempotency_key is not None else None
     same_key = (Study.owner == owner, Study.idempotency_key == idempotency_key)
     with sessions.begin() as session:
-        wait_for_turn(session, owner, limits, Quota.STUDIES, Quota.JOBS)
+        wait_for_turn(session, owner, limits, Quota.STUDIES, Quota.JOBS, *SPACE)
+        if idempotency_key is not None and (earlier := session.scalar(select(Study).where(*same_key))) is not None:
+            return same_request(earlier, digest), False
+        require_room(session, owner, limits, Quota.STUDIES, Quota.JOBS, *SPACE)
+        hold_names(session, owner)
         with within("job"):
             job = _with_pinned_parent(session, request.job, owner, see_all)
             for other in at_ends:
                 with_parent(session, other, owner, see_all)
-        if idempotency_key is None or session.scalar(select(Study.id).where(*same_key)) is None:
-            require_room(session, owner, limits, Quota.STUDIES, Quota.JOBS)
         study_id = session.scalar(
             insert(Study)
             .values(
@@ -126,7 +137,9 @@ def _with_pinned_parent(session: Session, job: JobRequest, owner: str, see_all: 
     """Return a job whose parent is a version or a checkpoint, so that all trials start from it. Raises InvalidError."""
     job = with_parent(session, job, owner, see_all)
     if job.parent_policy is not None:
-        return replace(job, parent_job_id=None, parent_checkpoint_id=None)
+        if job.parent_checkpoint_id is not None:  # else it is a bundled one
+            policies.find(session, PolicyRecord.owner == owner, job.parent_policy, keep=True)
+        return replace(job, parent_job_id=None)
     if job.parent_job_id is None or job.parent_checkpoint_id is not None:
         return job
     checkpoint = newest_checkpoint(session, job.parent_job_id)
@@ -309,6 +322,8 @@ def tell(
             raise NotFoundError(f"study {study_id} has no trial {number}")
         reported = trial.values is not None or trial.error is not None
         if reported and (trial.values, trial.error) != (None if values is None else list(values), error):
+            if trial.values is None and study.state is not StudyState.RUNNING:
+                raise ConflictError(f"study {study.name} is {study.state}; extend it to continue")
             raise ConflictError(f"trial {number} was reported already")
         if trial.asked_at is None:
             raise ConflictError(f"trial {number} is not taken; ask for it first")

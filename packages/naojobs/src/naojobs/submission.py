@@ -29,7 +29,7 @@ from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
 from naojobs.ids import new_id
 from naojobs.lineage import trained_by
 from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Match, PolicyRecord, Study
-from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room, wait_for_turn
+from naojobs.quotas import NO_LIMITS, SPACE, Limits, Quota, require_room, wait_for_turn
 from naojobs.states import ENDED, OPEN, WorkState
 
 J = TypeVar("J", Job, Study, Match, Evaluation)
@@ -110,6 +110,11 @@ class GroupRequest:
     grid: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     """Values by field; one job for each combination."""
 
+    def digest(self) -> str:
+        """Return the SHA-256 that equal requests share."""
+        text = json.dumps([self.job.digest(), list(self.seeds), self.grid])
+        return hashlib.sha256(text.encode()).hexdigest()
+
 
 def submit(
     sessions: Sessions,
@@ -149,6 +154,7 @@ def submit_group(
     combination that the specification refuses or a group of more than `MAX_GROUP_SIZE` jobs.
     """
     requests = expand_group(request)
+    digest = request.digest() if idempotency_key is not None else None
     with sessions.begin() as session:
         group_id = new_id("group")
         jobs = []
@@ -156,9 +162,11 @@ def submit_group(
         for number, item in enumerate(requests):
             key = None if idempotency_key is None else f"{idempotency_key}#{number}"
             with within("job"):
-                job, created = add_job(session, item, owner, key, limits, see_all, group_id=group_id)
-            new = new or created
-            if not created:
+                job, created = add_job(session, item, owner, key, limits, see_all, group_id=group_id, digest=digest)
+            if created:
+                new = True
+                limits = {quota: most for quota, most in limits.items() if quota not in SPACE}  # sums, wanted once
+            else:
                 group_id = job.group_id or group_id
             jobs.append(job)
     return group_id, jobs, new
@@ -205,16 +213,19 @@ def add_job(
     see_all: bool = False,
     *,
     group_id: str | None = None,
+    digest: str | None = None,
 ) -> tuple[Job, bool]:
-    """Queue a new job as `submit` does, as part of a transaction."""
-    digest = request.digest() if idempotency_key is not None else None
+    """Queue a new job as `submit` does, as part of a transaction; `digest` is that of the whole request of a group."""
+    if idempotency_key is not None and digest is None:
+        digest = request.digest()
     if idempotency_key is not None:
         earlier = session.scalar(
             select(Job).where(Job.owner == owner, Job.idempotency_key == idempotency_key),
         )
         if earlier is not None:
             return same_request(earlier, digest), False
-    require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS)
+    require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS, *SPACE)
+    hold_names(session, owner)
     request = with_parent(session, request, owner, see_all)
     check_evaluation(request.evaluation, request.spec, "evaluation")
     job_id = session.scalar(
@@ -282,6 +293,8 @@ def edit(
     with sessions.begin() as session:
         owner = session.scalar(select(Job.owner).where(Job.id == job_id))
         wait_for_turn(session, owner, limits, Quota.NOTES, Quota.ROWS)
+        if name is not None and owner is not None:
+            hold_names(session, owner)
         job = session.get(Job, job_id, with_for_update=True)
         if job is None:
             raise NotFoundError(f"no job {job_id}")
@@ -309,6 +322,14 @@ def edit(
     return job
 
 
+def hold_names(session: Session, owner: str) -> None:
+    """Wait until no other transaction names jobs or studies of `owner`: two must not both see the same free name.
+
+    A transaction that locks rows does it before, and behind its quotas: that prevents deadlocks.
+    """
+    session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"name:{owner}", 0))))
+
+
 def free_name(session: Session, model: type[Job] | type[Study], owner: str, name: str) -> str:
     """Return a name that no job, or no study, of `owner` has: `name`, or with a number.
 
@@ -316,8 +337,7 @@ def free_name(session: Session, model: type[Job] | type[Study], owner: str, name
     """
     if any(unicodedata.category(character) in INVISIBLE for character in name):
         raise InvalidError("expected text without control, format and separator characters", "name")
-    # Two concurrent submits must not both see the same free name.
-    session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"name:{owner}", 0))))
+    hold_names(session, owner)
     beginning = name[:190]
     taken = set(
         session.scalars(
@@ -432,7 +452,7 @@ def submit_evaluation(
     digest = digest_of(request) if idempotency_key is not None else None
     with sessions.begin() as session:
         owner = session.scalar(select(Job.owner).where(Job.id == job_id))
-        wait_for_turn(session, owner, limits, Quota.EVALUATIONS)
+        wait_for_turn(session, owner, limits, Quota.EVALUATIONS, *SPACE)
         job = lock(session, Job, job_id)
         if job is None:
             raise NotFoundError(f"no job {job_id}")
@@ -445,7 +465,7 @@ def submit_evaluation(
         waiting = session.scalar(select(func.count()).select_from(Evaluation).where(*is_open))
         if (waiting or 0) >= max_open:
             raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some finish, or cancel some")
-        require_room(session, job.owner, limits, Quota.EVALUATIONS)
+        require_room(session, job.owner, limits, Quota.EVALUATIONS, *SPACE)
         spec = request.spec or EvaluationSpec()
         if (trained := trained_by(job)) is not None:
             check_evaluation(spec, trained, "spec")

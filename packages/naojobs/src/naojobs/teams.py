@@ -5,8 +5,8 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import posixpath
 import tarfile
-from collections.abc import Iterable
 from typing import Literal
 from zlib import error as ZlibError
 
@@ -33,6 +33,8 @@ Film = Literal["off", "goals", "all"]
 """What is filmed of a game: nothing, what led to goals, or all of it."""
 MAX_TEAM_BYTES, MAX_TEAM_FILES = 64 << 20, 2_000
 """Bytes and files of an unpacked team."""
+_MAX_FILE_BYTES = 100_000
+"""Bytes of a team.json, as for a match."""
 
 
 class MatchTeam(BaseModel):
@@ -125,8 +127,8 @@ class TeamArchive:
         data: the archive.
 
     Raises:
-        InvalidError: if it is none, has links, devices or names that lead out of it, is too large, or its team.json is
-            missing, malformed, or reads folders outside.
+        InvalidError: if it is none, has links, devices, a name twice or names that lead out of it, is too large, or its
+            team.json is missing, malformed, or reads folders outside.
 
     Attributes:
         data: the archive, not compressed.
@@ -137,15 +139,16 @@ class TeamArchive:
         try:
             self.data = _unpacked(data)
             with tarfile.open(fileobj=io.BytesIO(self.data), mode="r:") as archive:
-                members = archive.getmembers()
-                names = {member.name.removeprefix("./") for member in members if member.isfile()}
-                _check_members(members)
-                if TEAM_FILE not in names:
+                member = _checked(archive).get(TEAM_FILE)
+                if member is None or not member.isfile():
                     raise InvalidError(no_team_file("body"), "body")
-                member = next(each for each in members if each.name.removeprefix("./") == TEAM_FILE)
+                if member.size > _MAX_FILE_BYTES:
+                    raise InvalidError(f"{TEAM_FILE}: at most {_MAX_FILE_BYTES:,} bytes; shorten it", "body")
                 file = archive.extractfile(member)
                 assert file is not None
                 found = json.loads(file.read())
+        except RecursionError:
+            raise InvalidError(f"{TEAM_FILE}: too deeply nested; a list of texts is enough", "body") from None
         except (tarfile.TarError, OSError, EOFError, ZlibError) as error:
             raise InvalidError(f"expected a tar archive of the team's folder: {error}", "body") from None
         except ValueError as error:
@@ -168,13 +171,23 @@ def _unpacked(data: bytes) -> bytes:
     return data
 
 
-def _check_members(members: Iterable[tarfile.TarInfo]) -> None:
-    for count, member in enumerate(members, start=1):
-        parts = member.name.split("/")
+def _checked(archive: tarfile.TarFile) -> dict[str, tarfile.TarInfo]:
+    """Return the files and folders of an archive by the paths to which they are unpacked.
+
+    Raises InvalidError for whatever else is in it, and for two entries of one path, of which the last would count.
+    """
+    found: dict[str, tarfile.TarInfo] = {}
+    for count, member in enumerate(archive, start=1):
+        name, path = member.name, posixpath.normpath(member.name)
         if count > MAX_TEAM_FILES:
             raise InvalidError(f"a team has at most {MAX_TEAM_FILES:,} files and folders; pack fewer", "body")
-        if not (member.isfile() or member.isdir()) or ".." in parts or member.name.startswith("/"):
-            raise InvalidError(f"{member.name[:200]!r}: pack only files and folders below the team's own", "body")
+        plain = member.isdir() or (member.isfile() and not member.issparse())
+        if not plain or ".." in name.split("/") or name.startswith("/"):
+            raise InvalidError(f"{name[:200]!r}: pack only files and folders below the team's own", "body")
+        if path in found:
+            raise InvalidError(f"{path[:200]!r}: is in the archive twice; pack it once", "body")
+        found[path] = member
+    return found
 
 
 def upload_team(
@@ -207,6 +220,7 @@ def upload_team(
     )
     try:
         with sessions.begin() as session:
+            require_room(session, owner, limits, Quota.BYTES, more=manifest.size)  # others may have come meanwhile
             session.add(team)
             session.flush()
             session.refresh(team)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 from sqlalchemy import ColumnElement, delete, func, select, update
+from sqlalchemy.orm import Session
 
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, NotFoundError
@@ -26,6 +27,7 @@ __all__ = [
     "create_token",
     "forget",
     "get_token",
+    "hold",
     "is_valid",
     "list_tokens",
     "principal_of",
@@ -44,9 +46,6 @@ _INCLUDES = {
     Scope.METRICS: frozenset({Scope.METRICS}),
     Scope.ADMIN: frozenset(Scope),
 }
-
-
-_VALID = (Token.revoked_at.is_(None), (Token.expires_at.is_(None)) | (Token.expires_at > func.now()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +93,7 @@ def create_token(
     expires_at = func.now() + valid_for if valid_for is not None else None
     with sessions.begin() as session:
         if parent_id is not None:
-            # The lock lets a revocation wait, which then finds the new token.
-            parent = session.scalar(select(Token).where(Token.id == parent_id, *_VALID).with_for_update(read=True))
-            if parent is None:
-                raise ConflictError("the token has been revoked or has expired; use another one", "Authorization")
+            parent = hold(session, parent_id)
             expires_at = func.least(expires_at, parent.expires_at) if parent.expires_at is not None else expires_at
         require_room(session, owner, limits, Quota.TOKENS)
         session.add(
@@ -115,6 +111,14 @@ def create_token(
     return token_id, secret
 
 
+def hold(session: Session, token_id: str) -> Token:
+    """Return a valid token whose revocation waits until the transaction has ended. Raises ConflictError."""
+    token = session.scalar(select(Token).where(Token.id == token_id, Token.is_valid()).with_for_update(read=True))
+    if token is None:
+        raise ConflictError("the token has been revoked or has expired; use another one", "Authorization")
+    return token
+
+
 def verify(sessions: Sessions, secret: str) -> Principal | None:
     """Return the principal of `secret`, or none if it is unknown, expired or revoked."""
     return _principal(sessions, Token.sha256 == _sha256(secret))
@@ -127,7 +131,7 @@ def principal_of(sessions: Sessions, token_id: str) -> Principal | None:
 
 def _principal(sessions: Sessions, condition: ColumnElement[bool]) -> Principal | None:
     with sessions.begin() as session:
-        token = session.scalar(select(Token).where(condition, *_VALID))
+        token = session.scalar(select(Token).where(condition, Token.is_valid()))
         if token is None:
             return None
         scopes = frozenset().union(*(_INCLUDES[Scope(scope)] for scope in token.scopes))
@@ -137,11 +141,11 @@ def _principal(sessions: Sessions, condition: ColumnElement[bool]) -> Principal 
 def is_valid(sessions: Sessions, token_id: str) -> bool:
     """Return whether a token is neither expired nor revoked."""
     with sessions.begin() as session:
-        return session.scalar(select(Token.id).where(Token.id == token_id, *_VALID)) is not None
+        return session.scalar(select(Token.id).where(Token.id == token_id, Token.is_valid())) is not None
 
 
 def revoke(sessions: Sessions, token_id: str) -> None:
-    """Revoke a token and all that were made with it. Raises NotFoundError."""
+    """Revoke a token and all that were made with it; webhooks see it in `webhooks.take_due`. Raises NotFoundError."""
     with sessions.begin() as session:
         if session.scalar(select(Token.id).where(Token.id == token_id).with_for_update()) is None:
             raise NotFoundError(f"no token {token_id}")

@@ -23,10 +23,11 @@ from urllib.parse import urlsplit
 from sqlalchemy import case, delete, func, literal, or_, select, true, update
 from sqlalchemy.orm import Session
 
+from naojobs import tokens
 from naojobs.database import Sessions, is_due
 from naojobs.errors import NotFoundError
 from naojobs.ids import new_id
-from naojobs.models import Delivery, Webhook
+from naojobs.models import Delivery, Token, Webhook
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 5.0, 3600.0
@@ -94,18 +95,27 @@ def create_webhook(
     owner: str,
     url: str,
     events: Iterable[MessageType],
+    token_id: str | None = None,
     signed: bool = True,
     limits: Limits = NO_LIMITS,
 ) -> Webhook:
     """Register a webhook and return it, with a new secret if its messages are `signed`, or an empty one.
 
-    Raises QuotaError if `owner` has as many webhooks as `limits` allow.
+    One made with the token `token_id` ends with it. Raises ConflictError if that token is not valid any more, and
+    QuotaError if `owner` has as many webhooks as `limits` allow.
     """
     secret = "whsec_" + base64.b64encode(secrets.token_bytes(32)).decode() if signed else ""
     webhook = Webhook(
-        id=new_id("hook"), owner=owner, url=url, events=sorted({str(event) for event in events}), secret=secret
+        id=new_id("hook"),
+        owner=owner,
+        token_id=token_id,
+        url=url,
+        events=sorted({str(event) for event in events}),
+        secret=secret,
     )
     with sessions.begin() as session:
+        if token_id is not None:
+            tokens.hold(session, token_id)
         require_room(session, owner, limits, Quota.WEBHOOKS)
         session.add(webhook)
         session.flush()
@@ -166,7 +176,7 @@ def take_due(sessions: Sessions, sending: Collection[Message] = ()) -> list[Mess
 
     Together they are at most `MOST_SENDING` and `MOST_ALERTS`, of each owner and to each webhook no more than one
     process sends at a time, and one to a webhook whose last attempt failed. Several processes may call it at once: each
-    gets other messages.
+    gets other messages. Webhooks whose tokens were revoked or have expired are disabled first.
     """
     due = is_due(Delivery.next_at, LONGEST_DELAY_S)
     open_ = or_(Webhook.not_before.is_(None), is_due(Webhook.not_before, LONGEST_DELAY_S))
@@ -207,7 +217,10 @@ def take_due(sessions: Sessions, sending: Collection[Message] = ()) -> list[Mess
         .subquery()
     )
     first = select(in_all.c.id).where(in_all.c.place <= in_all.c.most)
+    ended = select(Webhook.id).join(Token).where(Webhook.disabled_at.is_(None), ~Token.is_valid()).order_by(Webhook.id)
     with sessions.begin() as session:
+        for webhook_id in session.scalars(ended).all():
+            _disable(session, webhook_id, "the token that made the webhook was revoked or has expired")
         rows = session.execute(
             select(Delivery, Webhook)
             .join(Webhook)

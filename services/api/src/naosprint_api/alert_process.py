@@ -14,8 +14,9 @@ from ipaddress import ip_network
 from typing import Any
 
 from apprise import Apprise, AppriseAsset, NotifyFormat
+from apprise.plugins import url_to_dict
 
-from naosprint_api.alerts import GUIDE, secrets_of
+from naosprint_api.alerts import GUIDE, check_parameters, secrets_of
 from naosprint_api.outbound import Network, may_reach
 
 _CONNECTING = ("socket.connect", "socket.sendto", "socket.sendmsg")
@@ -60,9 +61,17 @@ def handle(request: dict[str, Any]) -> str | None:
     logging.getLogger("apprise").addHandler(errors)
     guard = Guard([ip_network(text) for text in request.get("networks", ())])
     sys.addaudithook(guard)
-    service = Apprise.instantiate(request["url"], asset=AppriseAsset(async_mode=False), suppress_exceptions=True)
+    unreadable = f"expected an address that apprise can read ({GUIDE})"
+    read: dict[str, Any] | None = url_to_dict(request["url"])  # type: ignore[no-untyped-call]
+    if read is None:
+        return unreadable
+    try:  # the reading that is used, also of an address that was registered before
+        check_parameters(read["schema"], read["qsd"])
+    except ValueError as refused:
+        return str(refused)
+    service = Apprise.instantiate(read, asset=AppriseAsset(async_mode=False), suppress_exceptions=True)
     if service is None:
-        return f"expected an address that apprise can read ({GUIDE})"
+        return unreadable
     if "body" not in request:
         return None
     if service.notify(title=request["title"], body=request["body"], body_format=NotifyFormat.TEXT):

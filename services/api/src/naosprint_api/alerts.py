@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-from urllib.parse import parse_qsl, unquote, urlsplit
+from urllib.parse import unquote, urlsplit
 
 from naojobs.webhooks import is_alert
 
@@ -89,14 +90,23 @@ def check_address(url: str) -> None:
     """
     if not url.isprintable() or " " in url:
         raise ValueError("expected an address without spaces and control characters; write %20 for a space")
-    parts = urlsplit(url)
-    channel = CHANNELS.get(parts.scheme)
+    check_parameters(urlsplit(url).scheme, (name for name, _ in _parameters(url)))
+
+
+def check_parameters(scheme: str, names: Iterable[str]) -> None:
+    """Check what an address of an alert names. Raises ValueError."""
+    channel = CHANNELS.get(scheme)
     if channel is None:
         raise ValueError(f"expected an address of http, https, {', '.join(CHANNELS)}")
-    for name, _ in parse_qsl(parts.query, keep_blank_values=True):
-        if name not in channel.parameters:
-            known = ", ".join(sorted(channel.parameters))
-            raise ValueError(f"an address of {parts.scheme} has no parameter of that name here; expected {known}")
+    if not channel.parameters.issuperset(names):
+        known = ", ".join(sorted(channel.parameters))
+        raise ValueError(f"an address of {scheme} has no parameter of that name here; expected {known}")
+
+
+def _parameters(url: str) -> list[tuple[str, str]]:
+    """Return the parameters of an address as apprise reads them: behind the first `?`, even in a fragment."""
+    pairs = (pair.partition("=") for pair in re.split("[&;]", url.partition("?")[2]) if pair)
+    return [(unquote(name).strip().lower(), unquote(value).strip()) for name, _, value in pairs]
 
 
 def check_hosts(url: str, networks: Sequence[Network]) -> None:
@@ -105,8 +115,7 @@ def check_hosts(url: str, networks: Sequence[Network]) -> None:
     Raises:
         ValueError: if nothing may be sent to one of them.
     """
-    parts = urlsplit(url)
-    hosts = [_own_host(url), *(value for name, value in parse_qsl(parts.query) if name == "smtp")]
+    hosts = [_own_host(url), *(value for name, value in _parameters(url) if name == "smtp")]
     if any(is_refused_literal(host, networks) for host in hosts if host):
         raise ValueError(NOT_PUBLIC)
 
@@ -199,8 +208,6 @@ def secrets_of(url: str) -> list[str]:
     """Return what an error may not repeat of an address, the longest first: all of its parts but a host's name."""
     parts = urlsplit(url)
     text = f"{parts.netloc}/{parts.path}/{parts.fragment}"
-    for separator in ":@?&=#":
-        text = text.replace(separator, "/")
-    found = {*text.split("/"), *(value for _, value in parse_qsl(parts.query))}
+    found = {*re.split("[/:@?&=#;]", text), *(value for _, value in _parameters(url))}
     found |= {unquote(part) for part in found} | {part.lower() for part in found} | {url}
     return sorted((part for part in found - {_own_host(url)} if len(part) > 3), key=len, reverse=True)

@@ -41,7 +41,7 @@ class Deliverer:
         """Look for due messages every `poll_s` seconds; `networks` of private addresses are allowed."""
         self._sessions = sessions
         self._networks = networks
-        self._sender = Sender(networks, deadline_s=DEADLINE_S)
+        self._sender = Sender(networks, deadline_s=DEADLINE_S, lookups=webhooks.MOST_OF_OWNER)
         self._poll_s = poll_s
         self._limiter = anyio.CapacityLimiter(THREADS)
         self._alert_limiter = anyio.CapacityLimiter(webhooks.MOST_ALERTS)
@@ -143,7 +143,7 @@ class Deliverer:
             "webhook-timestamp": str(int(now.timestamp())),
             "webhook-signature": Signer(message.secret).sign(message.id, now, message.body),
         }
-        return await self._sender.post(message.url, headers, message.body.encode())
+        return await self._sender.post(message.owner, message.url, headers, message.body.encode())
 
     async def _in_thread(self, call: Callable[[], Result]) -> Result:
         return await anyio.to_thread.run_sync(call, limiter=self._limiter)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
+import math
 import socket
 import ssl
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Any, TypeAlias
+from weakref import WeakValueDictionary
 
 import anyio
 import httpcore
@@ -81,11 +85,11 @@ def is_refused_literal(host: str, allowed: Sequence[Network]) -> bool:
 
 
 class _Backend(httpcore.AnyIOBackend):
-    """Network backend that looks a name up once, and connects only to those of its addresses that are allowed."""
+    """Network backend that connects to the first of some addresses that answers, whatever the host's name is."""
 
-    def __init__(self, allowed: Sequence[Network]) -> None:
+    def __init__(self, addresses: Sequence[str]) -> None:
         super().__init__()
-        self._allowed = allowed
+        self._addresses = addresses
 
     async def connect_tcp(
         self,
@@ -95,43 +99,69 @@ class _Backend(httpcore.AnyIOBackend):
         local_address: str | None = None,
         socket_options: Iterable[Any] | None = None,
     ) -> httpcore.AsyncNetworkStream:
-        """Connect to the first address that answers. Raises RefusedAddressError, httpcore.ConnectError."""
+        """Connect. Raises httpcore.ConnectError."""
+        for address in self._addresses[:-1]:
+            try:
+                return await super().connect_tcp(address, port, timeout, local_address, socket_options)
+            except (httpcore.ConnectError, httpcore.ConnectTimeout):
+                continue
+        return await super().connect_tcp(self._addresses[-1], port, timeout, local_address, socket_options)
+
+
+class Sender:
+    """Sender of POST requests that follows no redirect and reads no body of an answer.
+
+    A look-up of a name cannot be cancelled. So it has a thread of its own, and each owner a number of places for them:
+    slow name servers of one owner hold up no request of another.
+    """
+
+    def __init__(self, allowed: Sequence[Network], *, deadline_s: float, lookups: int = 16) -> None:
+        """Allow private networks; `lookups` is the number of names that are looked up at a time for one owner."""
+        self._allowed = allowed
+        self._deadline_s = deadline_s
+        self._lookups = lookups
+        self._places: WeakValueDictionary[str, asyncio.Semaphore] = WeakValueDictionary()
+        self._threads = anyio.CapacityLimiter(math.inf)
+        self._tls = ssl.create_default_context()
+
+    async def post(self, owner: str, url: str, headers: Mapping[str, str], body: bytes) -> int:
+        """Send a request and return the status of its answer. The deadline begins when `owner` has a place.
+
+        Raises:
+            RefusedAddressError: the host has no address that requests may be sent to.
+            TimeoutError: the answer did not begin within the deadline.
+            Exception: the look-up, the connection or the protocol failed.
+        """
+        host = httpcore.URL(url).host.decode("ascii")
+        place = self._places.setdefault(owner, asyncio.Semaphore(self._lookups))
+        await place.acquire()
+        look_up = asyncio.create_task(self._addresses_of(host))
+        look_up.add_done_callback(lambda done: _leave(place, done))
+        with anyio.fail_after(self._deadline_s):
+            backend = _Backend(await asyncio.shield(look_up))
+            # A connection of its own: each request looks its host up again.
+            async with (
+                httpcore.AsyncConnectionPool(ssl_context=self._tls, network_backend=backend) as pool,
+                pool.stream("POST", url, headers=list(headers.items()), content=body) as response,
+            ):
+                return response.status
+
+    async def _addresses_of(self, host: str) -> list[str]:
+        """Return the addresses of a host that requests may be sent to. Raises RefusedAddressError, ConnectError."""
+        call = partial(socket.getaddrinfo, host, None, type=socket.SOCK_STREAM)
         try:
-            found = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            found = await anyio.to_thread.run_sync(call, limiter=self._threads, abandon_on_cancel=True)
         except (OSError, UnicodeError) as error:
             raise httpcore.ConnectError(f"the name of the host cannot be looked up: {error}") from error
         addresses = dict.fromkeys(str(item[4][0]) for item in found)
         reachable = [address for address in addresses if may_reach(address, self._allowed)]
         if not reachable:
             raise RefusedAddressError("the host has no public address; the operator can allow private networks")
-        for address in reachable[:-1]:
-            try:
-                return await super().connect_tcp(address, port, timeout, local_address, socket_options)
-            except (httpcore.ConnectError, httpcore.ConnectTimeout):
-                continue
-        return await super().connect_tcp(reachable[-1], port, timeout, local_address, socket_options)
+        return reachable
 
 
-class Sender:
-    """Sender of POST requests that follows no redirect and reads no body of an answer."""
-
-    def __init__(self, allowed: Sequence[Network], *, deadline_s: float) -> None:
-        self._deadline_s = deadline_s
-        self._backend = _Backend(allowed)
-        self._tls = ssl.create_default_context()
-
-    async def post(self, url: str, headers: Mapping[str, str], body: bytes) -> int:
-        """Send a request and return the status of its answer.
-
-        Raises:
-            RefusedAddressError: the host has no address that requests may be sent to.
-            TimeoutError: the answer did not begin within the deadline.
-            Exception: the connection or the protocol failed.
-        """
-        with anyio.fail_after(self._deadline_s):
-            # A connection of its own: each request looks its host up again.
-            async with (
-                httpcore.AsyncConnectionPool(ssl_context=self._tls, network_backend=self._backend) as pool,
-                pool.stream("POST", url, headers=list(headers.items()), content=body) as response,
-            ):
-                return response.status
+def _leave(place: asyncio.Semaphore, look_up: asyncio.Task[list[str]]) -> None:
+    """Free the place of a look-up that has ended; its request may be over."""
+    place.release()
+    if not look_up.cancelled():
+        look_up.exception()

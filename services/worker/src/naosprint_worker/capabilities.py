@@ -11,7 +11,7 @@ from naojobs.notifications import DEFAULT_QUEUE
 from naosim.launchers.docker import connect
 from naosim.mujoco.program import PROGRAM_VARIABLE, missing_server
 from naospec import plugins
-from naosprint.matches.confine import NETWORK_VERSION, landlock_version
+from naosprint.matches import confine
 
 from naosprint_worker.settings import WorkerSettings
 
@@ -40,9 +40,9 @@ def _matches(settings: WorkerSettings) -> dict[str, int]:
     if reason:
         logger.warning("this worker plays no matches: %s", reason)
         return {}
-    confines = landlock_version() >= NETWORK_VERSION
-    if not confines:
-        logger.warning("this worker plays no matches of uploaded teams: the kernel has no Landlock with rules for TCP")
+    confines = not (lacks := confine.missing())
+    if lacks:
+        logger.warning("this worker plays no matches of uploaded teams: %s", lacks)
     kinds = [match_task(confined=False, contained=False)]
     if confines:
         kinds.append(match_task(confined=True, contained=False))

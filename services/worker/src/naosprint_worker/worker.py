@@ -133,7 +133,7 @@ class WorkLoop:
         """Fill the free slots; if there are none, make room for urgent work."""
         self._claim_work()
         settings, full = self._settings, len(self._runs) >= self._settings.worker_concurrency
-        if settings.worker_preempt_by == 0 or not full or self._stopping.is_set():
+        if settings.worker_preempt_by == 0 or not full or self._stopping.is_set() or not self._has_space():
             return
         made = make_room(
             self._context.sessions,

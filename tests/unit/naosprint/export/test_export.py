@@ -457,7 +457,7 @@ def test_two_policies_of_different_names_in_one_program(checkpoint: Path, tmp_pa
     assert written == {"kick.h", "kick_check.c", "kick.npz", "kick.json"}
 
 
-@pytest.mark.parametrize("name", ["", "Kick", "2x", "a-b", "a b", "../a", "ä", "a" * 41, "class"])
+@pytest.mark.parametrize("name", ["", "Kick", "2x", "a-b", "a b", "../a", "ä", "a" * 41, "class", "a__b", "a_"])
 def test_names_of_exports_are_those_of_c_and_python(name: str, checkpoint: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a letter and then letters"):
         export_policy(checkpoint, tmp_path / "out", None, name)

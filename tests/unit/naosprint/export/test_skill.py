@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -156,13 +157,95 @@ def test_two_skills_of_one_team_have_folders_and_names_of_their_own(
     parent = folder_of(robot, tmp_path).parent
     for name in ("policy", "kick_far"):
         write_skill(*random_policy({"name": robot}, "sprint1"), tmp_path, name)
-    for shown, folder in (("Naosprint", folder_of(robot, tmp_path)), ("KickFar", None)):
-        folder = folder or parent / ("kick_far" if robot == "t1" else "KickFar")
+    for shown, folder in (("Naosprint", folder_of(robot, tmp_path)), ("NaosprintKickFar", None)):
+        folder = folder or parent / ("naosprint_kick_far" if robot == "t1" else shown)
         source = (folder / file.format(name=shown)).read_text(encoding="utf-8")
-        assert f"class {shown}" in source
-        assert ("Naosprint" in "".join(path.read_text() for path in folder.glob("*.py"))) == (shown == "Naosprint")
+        assert re.findall(r"^class (\w+)", source, re.MULTILINE) == [shown]
+        texts = "".join(path.read_text(encoding="utf-8") for path in folder.glob("*.py"))
+        assert set(re.findall(r"Naosprint\w*", texts)) == {shown}
         assert check(folder, numpy_alone).returncode == 0
     assert len({path.name for path in parent.iterdir()}) == 2
+
+
+STARTING = {
+    "k1": """
+import sys, types
+def module(name, **content):
+    sys.modules[name] = types.ModuleType(name)
+    sys.modules[name].__dict__.update(content)
+class Robot:
+    name = "T1"
+    def __init__(self, agent):
+        self.targets = {}
+    def set_motor_target_position(self, name, target, kp, kd):
+        self.targets[name] = target
+class Agent:
+    def __init__(self, *words):
+        def connect():
+            raise ConnectionRefusedError
+        self.robot, self.skills_manager = Robot(self), types.SimpleNamespace(skills={})
+        self.server = types.SimpleNamespace(connect=connect)
+        agents.append(self)
+class Skill:
+    def __init__(self, agent):
+        self.agent = agent
+agents = []
+import mujococodebase.skills
+module("mujococodebase.agent", Agent=Agent)
+module("mujococodebase.robot", Robot=Robot)
+module("mujococodebase.skills.skill", Skill=Skill)
+options = types.SimpleNamespace(team="a", number=1, host="", port=0, monitor_port=None, lane=0.0)
+start = "mujococodebase.skills.naosprint_{name}.play"
+""",
+    "nao-0": """
+import sys, types
+class Base_Agent:
+    def __init__(self, *words):
+        robot = types.SimpleNamespace(MAP_PERCEPTOR_TO_INDEX=Every(), FIX_PERCEPTOR_SET=())
+        self.world, self.behavior = types.SimpleNamespace(robot=robot), types.SimpleNamespace(behaviors={})
+        self.skills_manager = types.SimpleNamespace(skills=self.behavior.behaviors)
+        agents.append(self)
+class Every(dict):
+    def __missing__(self, name):
+        return 0
+agents = []
+sys.modules["agent.Base_Agent"] = types.ModuleType("agent.Base_Agent")
+sys.modules["agent.Base_Agent"].Base_Agent = Base_Agent
+options = types.SimpleNamespace(team="a", host="127.0.0.1", port=0, monitor_port=1, localization=False)
+start = "behaviors.custom.{shown}.play"
+""",
+}
+"""What a skill's `play` needs of the team's code to come as far as the server."""
+
+
+@pytest.mark.parametrize(
+    ("robot", "names"),
+    [
+        ("k1", {"runner": "Runner", "path": "Path", "skill": "Skill", "agent": "Agent", "k1": "K1", "true": "True"}),
+        ("nao-0", {"base_agent": "BaseAgent", "monitor_port": "MonitorPort", "a1": "A1", "a_1": "A_1"}),
+    ],
+)
+def test_a_skill_starts_whatever_its_name(robot: str, names: dict[str, str], tmp_path: Path, numpy_alone: Path) -> None:
+    """Also if the team's code, Python or the skill itself calls a part of them so."""
+    policy, manifest = random_policy({"name": robot}, "sprint1")
+    for name in names:
+        write_skill(policy, manifest, tmp_path, name)
+    (root,) = tmp_path.iterdir()
+    for name, shown in names.items():
+        start = STARTING[robot].replace("{name}", name).replace("{shown}", f"Naosprint{shown}")
+        code = f"""{start}
+import importlib
+try:
+    importlib.import_module(start).run(options)
+except ConnectionRefusedError:
+    (skills,) = (agent.skills_manager.skills for agent in agents)
+    print(*skills)
+"""
+        environment = {"PYTHONPATH": f"{root}:{numpy_alone}"}
+        done = subprocess.run(
+            [sys.executable, "-S", "-c", code], env=environment, capture_output=True, text=True, check=False
+        )
+        assert (done.stdout, done.stderr) == (f"Naosprint{shown}\n", ""), name
 
 
 @pytest.fixture

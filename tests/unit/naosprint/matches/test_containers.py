@@ -15,6 +15,7 @@ from naosim.launchers import Address
 from naosprint.matches import relay
 from naosprint.matches.agents import Limits
 from naosprint.matches.containers import RELAY_VARIABLE, ContainerAgents, agent_options, relay_options
+from naosprint.matches.doors import SOCKET, Doors
 from naosprint.matches.teams import read_team
 
 
@@ -61,7 +62,7 @@ def test_agents_have_limits_and_no_network_but_that_of_their_relay() -> None:
 def test_without_a_relay_image_the_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(RELAY_VARIABLE, raising=False)
     with pytest.raises(OSError, match=f"{RELAY_VARIABLE}: not set, .* set it to an image with Python 3"):
-        ContainerAgents(Address("127.0.0.1", 1, 2))
+        ContainerAgents()
 
 
 @pytest.fixture
@@ -88,7 +89,7 @@ def echo() -> Iterator[int]:
 
 def test_a_relay_passes_both_ways_and_ends_a_connection_with_its_other_side(tmp_path: Path, echo: int) -> None:
     path = tmp_path / "server"
-    command = [sys.executable, "-I", "-S", relay.__file__, f"unix:{path}", f"tcp:127.0.0.1:{echo}"]
+    command = [sys.executable, "-I", "-S", relay.__file__, f"tcp:127.0.0.1:{echo}", f"unix:{path}"]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"listening\n"
@@ -104,3 +105,53 @@ def test_a_relay_passes_both_ways_and_ends_a_connection_with_its_other_side(tmp_
                 client.shutdown(socket.SHUT_WR)
                 assert client.recv(1) == b""
         process.kill()
+
+
+def began(address: str | tuple[str, int], text: str) -> bytes:
+    """Begin a connection with a message; return the first message that comes back, none if it is closed."""
+    with socket.socket(socket.AF_UNIX if isinstance(address, str) else socket.AF_INET) as client:
+        client.settimeout(30)
+        client.connect(address)
+        client.sendall(len(text).to_bytes(4, "big") + text.encode())
+        try:
+            return client.recv(4 + len(text), socket.MSG_WAITALL)[4:]
+        except ConnectionError:
+            return b""
+
+
+def test_a_door_passes_one_connection_of_its_player_and_nobody_else(echo: int) -> None:
+    """As the other team's player, as one more of its own, or a second time."""
+    doors = Doors(Address("127.0.0.1", echo, 1), {("left", 1): False, ("right", 1): False, ("right", 2): True})
+    try:
+        left, right = ((each.host, each.agent_port) for each in map(doors.address, [("left", 1), ("right", 1)]))
+        socket_path = str(doors.folder(("right", 2)) / SOCKET)
+        for text in ("(init T1 right 1)", "(init T1 left 2)", "(init T1 left 101)", "(init T1 left 1)(init)", "(syn)"):
+            assert began(left, text) == b"", text
+        assert doors.entered() == set()
+        assert doors.refused(("left", 1)).startswith("; it began with '(init T1 right 1)', not with (init MODEL left 1")
+        # connections of one agent take no place from others
+        waiting = [socket.create_connection(left) for _ in range(100)]
+        assert began(right, "(init T1 right 1)") == b"(init T1 right 1)"
+        assert began(socket_path, "(init K1 right 2)") == b"(init K1 right 2)"
+        for each in waiting:
+            each.close()
+        assert began(left, " (init  T1 left 1) ") == b"(init T1 left 1)", "what the server gets is in one form"
+        assert doors.entered() == {("left", 1), ("right", 1), ("right", 2)}
+        assert doors.refused(("left", 1)) == ""
+        with pytest.raises(ConnectionRefusedError):
+            began(right, "(init T1 right 1)")
+    finally:
+        doors.close()
+    assert not doors.folder(("right", 2)).parent.exists()
+
+
+def test_many_refusals_at_one_door_do_not_hold_up_another(echo: int) -> None:
+    doors = Doors(Address("127.0.0.1", echo, 1), {("left", 1): False, ("right", 1): False})
+    try:
+        left, right = ((each.host, each.agent_port) for each in map(doors.address, [("left", 1), ("right", 1)]))
+        for _ in range(200):
+            assert began(left, "\N{SNOWMAN}" * 300) == b""
+        assert began(right, "(init T1 right 1)") == b"(init T1 right 1)"
+        assert doors.entered() == {("right", 1)}
+    finally:
+        doors.close()

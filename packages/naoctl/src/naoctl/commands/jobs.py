@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
-from naospec import TrainingSpec, plugins, read_stored
+from naospec import TrainingSpec, flat, plugins, read_stored
+from naospec.metrics import PROGRESS
 from rich.table import Table
 
 from naoctl.commands.artifacts import await_evaluation
@@ -20,7 +21,7 @@ from naoctl.context import (
     find_listed,
     stdin_is_terminal,
 )
-from naoctl.descriptions import Descriptions, common, value_text
+from naoctl.descriptions import Descriptions, common, section_name, value_text
 from naoctl.errors import InvalidInput, plain
 from naoctl.evaluations import TRAINING_MARK, TRAINING_NOTE, headline, job_evaluation
 from naoctl.follow import ENDED, follow
@@ -92,19 +93,17 @@ def list_jobs(
             group = find_listed(client, "/studies", "study", study)["id"]
         wanted: dict[str, Any] = {"owner": owner, "group": group, "task": task, "robot": robot, "q": query}
         wanted |= {"state": state or None, "tag": tag or None}
-        jobs = list(client.pages("/jobs", limit=limit, **wanted))
+        # the first by a column can be any of them
+        jobs = list(client.pages("/jobs", limit=MOST_SORTED if sort else limit, **wanted))
+        descriptions = Descriptions(client)
+        for flag, given in (("--columns", names), ("--sort", [sort.removeprefix("-")] if sort else [])):
+            require_known(flag, given, jobs, descriptions)
         if sort:
-            jobs = sorted_jobs(jobs, sort)
-        unknown = [name for name in names if name not in COLUMNS and all(value_of(job, name) is None for job in jobs)]
-        if jobs and unknown:
-            raise InvalidInput(
-                f"--columns: none of these jobs has {unknown[0]!r}",
-                fix=f"Fields are {', '.join(COLUMNS)}; `naoctl spec` lists settings.",
-            )
+            jobs = sorted_jobs(jobs, sort)[:limit]
         if as_json:
             table = None
         else:
-            table = chosen_table(jobs, names) if names else jobs_table(jobs, Descriptions(client), context.out.width)
+            table = chosen_table(jobs, names) if names else jobs_table(jobs, descriptions, context.out.width)
     if table is None:
         context.json([{name: value_of(job, name) for name in names} for job in jobs] if names else jobs)
     elif jobs:
@@ -112,21 +111,39 @@ def list_jobs(
         if any(TRAINING_MARK in str(text) for column in table.columns[-1:] for text in column.cells):
             context.note(TRAINING_NOTE)
         if len(jobs) == limit:
-            context.note(f"The newest {limit}; --limit shows more.")
+            context.note(f"The {'first' if sort else 'newest'} {limit}; --limit shows more.")
     else:
         context.note("No jobs." if any(wanted.values()) else "No jobs yet. Submit one with `naoctl submit`.")
 
 
-def sorted_jobs(jobs: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
-    """Return jobs by a column, those without it last; a minus before the name reverses the order.
+MOST_SORTED = 10_000
+"""Most jobs of which ``--sort`` finds the first."""
+
+
+def require_known(flag: str, names: list[str], jobs: list[dict[str, Any]], descriptions: Descriptions) -> None:
+    """Check that names are fields, settings, or results and metrics of the jobs' tasks.
 
     Raises:
-        InvalidInput: if no job has it.
+        InvalidInput: naming the first that is none.
     """
+    tasks = [descriptions.task(name) for name in {section_name(job["spec"], "task") for job in jobs}]
+    measured = {metric["name"] for task in tasks for part in ("results", "metrics") for metric in task.get(part, ())}
+    known = {*COLUMNS, *measured, *(metric.name for metric in PROGRESS)}
+    for name, setting in flat.settings().items():
+        known |= {name, ".".join(setting.path)}
+    for name in names:
+        if jobs and name not in known and all(value_of(job, name) is None for job in jobs):
+            raise InvalidInput(
+                f"{flag}: none of these jobs has {name!r}",
+                fix=f"Fields are {', '.join(COLUMNS)}; results and metrics are {', '.join(sorted(measured))}; "
+                "`naoctl spec` lists settings.",
+            )
+
+
+def sorted_jobs(jobs: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
+    """Return jobs by a column, those without it last; a minus before the name reverses the order."""
     key = name.removeprefix("-")
     having = [job for job in jobs if value_of(job, key) is not None]
-    if jobs and not having:
-        raise InvalidInput(f"--sort: none of these jobs has {key!r}", fix="`naoctl spec` lists settings.")
     numeric = all(isinstance(value_of(job, key), int | float) for job in having)
     ordered = sorted(
         having,

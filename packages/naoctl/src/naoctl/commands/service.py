@@ -129,6 +129,8 @@ def undrain(ctx: typer.Context, worker: WorkerId, as_json: JsonFlag = False) -> 
 def _set_drained(ctx: typer.Context, worker: str, verb: str, body: Any, *, as_json: bool) -> None:
     context = context_of(ctx)
     with context.client() as client:
+        chosen = [each["id"] for each in client.every("/workers") if each["id"].startswith(worker)]
+        worker = chosen[0] if len(chosen) == 1 else worker  # the beginning of an id is enough
         try:
             found = client.post(f"/workers/{quote(worker, safe='')}/{verb}", body)
         except ApiError as error:

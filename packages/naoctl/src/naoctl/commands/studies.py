@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -341,7 +342,7 @@ def ask_for_trial(
     context.note(f"Report its values with: naoctl study tell {study} {trial['number']} VALUE")
 
 
-@app.command("tell")
+@app.command("tell", context_settings={"ignore_unknown_options": True})  # values can be negative
 def tell_trial(
     ctx: typer.Context,
     study: Reference,
@@ -358,6 +359,8 @@ def tell_trial(
     context = context_of(ctx)
     if bool(values) == bool(error):
         raise InvalidInput("Expected the values of the trial, or --failed REASON", fix="Give one of them.")
+    if values and not all(map(math.isfinite, values)):
+        raise InvalidInput("VALUE: expected finite numbers", fix="Report a trial without a value with --failed REASON.")
     with context.client() as client:
         path = f"/studies/{find_study(client, study)['id']}/trials/{number}/tell"
         trial = client.post(path, {"error": error} if error else {"values": values})

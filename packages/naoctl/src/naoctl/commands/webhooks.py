@@ -96,7 +96,7 @@ def list_webhooks(ctx: typer.Context, as_json: JsonFlag = False) -> None:
         return
     table = Table("ID", "Address", "Messages", "Created", "State", box=None, pad_edge=False, header_style="bold")
     for item in found:
-        state = "disabled: the receiver is gone" if item["disabled_at"] else "active"
+        state = "disabled: its receiver or its token is gone" if item["disabled_at"] else "active"
         table.add_row(item["id"], cell(item["url"]), ", ".join(item["events"]), ago(item["created_at"]), state)
     context.out.print(table if found else "No webhooks yet. Create one with `naoctl webhook create URL`.")
 

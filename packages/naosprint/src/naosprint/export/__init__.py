@@ -35,7 +35,7 @@ FORMATS = ("numpy", "onnx", "c", "skill")
 
 logger = logging.getLogger(__name__)
 
-_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
+_NAME = re.compile(r"(?=.{1,40}$)[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 def export_policy(
@@ -52,8 +52,8 @@ def export_policy(
         checkpoint: the checkpoint.
         directory: where the files are written.
         formats: the formats; by default all that its robot has, of which those that cannot be written are left out.
-        name: name of the files, of all that ``policy.h`` defines and of the skill, so that several policies can be part
-            of one program or team.
+        name: name of the files, of all that ``policy.h`` defines and, after naosprint's, of the skill, so that several
+            policies can be part of one program or team.
         warn: called with a sentence about each format that is left out.
 
     Returns:
@@ -67,8 +67,8 @@ def export_policy(
     """
     if not _NAME.fullmatch(name) or keyword.iskeyword(name):
         raise ValueError(
-            f"name: {name!r}: expected a letter and then letters, digits and _, all small, at most 40, and no keyword "
-            "of Python"
+            f"name: {name!r}: expected a letter and then letters, digits and single _ between them, all small, at most "
+            "40, and no keyword of Python"
         )
     policy, manifest = load_policy(checkpoint)
     if not isinstance(policy, NetworkPolicy):

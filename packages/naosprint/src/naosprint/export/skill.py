@@ -98,8 +98,8 @@ TARGETS = {
 def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path, name: str = DEFAULT_NAME) -> list[Path]:
     """Write a policy as a skill to a folder below ``directory`` and return the paths of its files.
 
-    With another ``name`` than the default, folder and class have it instead of naosprint's, so that a team can have
-    several.
+    With another ``name`` than the default, folder and class have it after naosprint's, such as ``naosprint_kick`` and
+    ``NaosprintKick``, so that a team can have several, and none is called like a part of the team's code.
 
     Raises:
         ValueError: if there is no team code for the robot, or the policy observes what the skill cannot compute.
@@ -112,8 +112,9 @@ def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path, name
     arrays = {**policy_arrays(policy, manifest), "terms": np.array(json.dumps(description.document()))}
     _require_computable(_SOURCES / family, arrays, recorded, manifest, description)
     parent, _, own = target.folder.rpartition("/")
-    named = {} if name == DEFAULT_NAME else {"Naosprint": _class_name(name), "skills.naosprint": f"skills.{name}"}
-    folder = directory / parent / (own if not named else named["Naosprint"] if own.istitle() else name)
+    module, skill = ("naosprint", "Naosprint") if name == DEFAULT_NAME else (f"naosprint_{name}", _class_name(name))
+    named = {"Naosprint": skill, "skills.naosprint": f"skills.{module}"}
+    folder = directory / parent / (skill if own.istitle() else module)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for path in (_SOURCES / "check.py", _SOURCES / "terms.py", *sorted((_SOURCES / family).glob("*.py"))):
@@ -129,7 +130,8 @@ def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path, name
 
 
 def _class_name(name: str) -> str:
-    return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+    """Return the name of the class: another one for every name, also for `a1` and `a_1`."""
+    return "Naosprint" + "".join(part.capitalize() if part[0].isalpha() else f"_{part}" for part in name.split("_"))
 
 
 def _require_computable(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import json
 import os
 import shutil
@@ -26,7 +27,18 @@ if TYPE_CHECKING:
     from naosprint.matches.teams import Team
 
 _GUARD = Path(naosim.launchers.__file__).with_name("guard.py")
-_SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/sbin", "/etc", "/opt", "/dev", "/sys/devices/system/cpu", "/proc/self")
+_SETTINGS = (
+    *("ld.so.*", "localtime", "timezone", "locale*", "os-release", "mime.types", "fonts", "java*", "python*"),
+    *("nsswitch.conf", "passwd", "group", "host.conf", "hosts", "resolv.conf", "gai.conf", "protocols", "services"),
+    *("ssl/certs", "ssl/openssl.cnf", "ca-certificates", "crypto-policies"),
+    *("pki/ca-trust", "pki/tls/certs", "pki/tls/openssl.cnf"),
+)
+"""Files and folders of /etc that programs need; the others may have secrets."""
+_SYSTEM = (
+    *("/usr", "/lib", "/lib64", "/bin", "/sbin", "/sys/devices/system/cpu", "/proc/self"),
+    *(f"/dev/{name}" for name in ("null", "zero", "full", "random", "urandom")),
+    *(f"/etc/{name}" for pattern in _SETTINGS for name in glob.glob(pattern, root_dir="/etc")),
+)
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _LOG_TAIL, _GRACE_S = 2000, 1.0
 
@@ -62,7 +74,7 @@ class AgentProcess:
         name: name with which it enters the game.
         number: its uniform number.
         players: number of players of its team.
-        server: address of the server.
+        server: address of its door to the server.
         limits: what it may use.
 
     Raises:

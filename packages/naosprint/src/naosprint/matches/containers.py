@@ -1,26 +1,20 @@
 """Agents in containers that reach nothing but the server of their game.
 
 A container of an agent has no network of its own: it is in that of a second container, its relay, which has no way out
-but a Unix socket of this machine. What the agent sends to its loopback goes through this socket to the server.
+but a Unix socket of this machine, the agent's door. What the agent sends to its loopback goes through it to the server.
 
-    agent --TCP, loopback of the two--> relay --Unix socket--> relay on this machine --TCP--> server
+    agent --TCP, loopback of the two--> relay --Unix socket--> door on this machine --TCP--> server
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import naosim.launchers
 from naosim.launchers import ContainerSettings
 from naosim.launchers.docker import (
     confined_options,
@@ -35,11 +29,10 @@ from naosim.launchers.docker import (
 )
 
 from naosprint.matches import relay
+from naosprint.matches.doors import SOCKET
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from naosim.launchers import Address
 
     from naosprint.matches.agents import Limits
     from naosprint.matches.teams import Team
@@ -48,22 +41,18 @@ RELAY_VARIABLE = "NAOSPRINT_RELAY_IMAGE"
 """Image with Python 3 that the relays of agents in containers run from; without it such teams do not play."""
 ENFORCED = ("CPU", "TCP", "UDP", "cpu", "files", "memory", "processes")
 """What the engine limits of an agent."""
-_GUARD = Path(naosim.launchers.__file__).with_name("guard.py")
-_SOCKET, _INSIDE, _PORT = "server", "/run/naosprint", 3100
+_INSIDE, _PORT = "/run/naosprint", 3100
 _START_S, _LOOK_S = 30.0, 0.5
 
 
 class ContainerAgents:
-    """The agents of one game that are containers, and the relay on this machine that takes them to the server.
-
-    Args:
-        server: address of the server.
+    """The agents of one game that are containers.
 
     Raises:
-        OSError: if no relay image is named, no Docker engine answers, or the relay does not start.
+        OSError: if no relay image is named, or no Docker engine answers.
     """
 
-    def __init__(self, server: Address) -> None:
+    def __init__(self) -> None:
         self._image = os.environ.get(RELAY_VARIABLE, "")
         if not self._image:
             raise OSError(
@@ -73,23 +62,8 @@ class ContainerAgents:
         self._client: Any = connect()
         self.api: Any = self._client.api
         remove_orphans(self.api)
-        self._folder = Path(tempfile.mkdtemp(prefix="naosprint-relay-"))
-        self._folder.chmod(0o711)  # the relays' user opens what it has the name of
-        target = f"tcp:{server.host}:{server.agent_port}"
-        isolated = (sys.executable, "-I", "-S")
-        command = (*isolated, relay.__file__, f"unix:{self._folder / _SOCKET}", target)
-        self._process = subprocess.Popen(
-            [*isolated, str(_GUARD), str(self._folder), str(int(signal.SIGTERM)), *command],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
-        )
-        assert self._process.stdout is not None
-        if not self._process.stdout.readline():
-            self.close()
-            raise OSError(f"the relay to {target} does not start")
 
-    def start(self, team: Team, name: str, number: int, players: int, limits: Limits) -> AgentContainer:
+    def start(self, team: Team, name: str, number: int, players: int, door: Path, limits: Limits) -> AgentContainer:
         """Start an agent.
 
         Args:
@@ -97,6 +71,7 @@ class ContainerAgents:
             name: name with which it enters the game.
             number: its uniform number.
             players: number of players of its team.
+            door: folder with the socket that leads it to the server.
             limits: what it may use.
 
         Raises:
@@ -105,7 +80,7 @@ class ContainerAgents:
         assert team.image is not None
         agent = AgentContainer(self.api, number)
         try:
-            self._create(agent.relay, self._image, RELAY_VARIABLE, relay_options(self._folder))
+            self._create(agent.relay, self._image, RELAY_VARIABLE, relay_options(door))
             self._await_relay(agent.relay)
             values = {"host": "127.0.0.1", "port": _PORT, "team": name, "number": number, "players": players}
             command = team.agent(**values)
@@ -141,14 +116,7 @@ class ContainerAgents:
         raise OSError(f"{RELAY_VARIABLE}: the relay does not start: {describe_server(self.api, name)}")
 
     def close(self) -> None:
-        """End the relay on this machine, after each of the agents has been stopped."""
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        """Close the connection to the engine, after each of the agents has been stopped."""
         self._client.close()
 
 
@@ -163,7 +131,7 @@ def relay_options(folder: Path) -> dict[str, Any]:
     return {
         **options,
         "entrypoint": ["python3", "-I", "-S", "-c", text],
-        "command": [f"tcp:127.0.0.1:{_PORT}", f"unix:{_INSIDE}/{_SOCKET}"],
+        "command": [f"unix:{_INSIDE}/{SOCKET}", f"tcp:127.0.0.1:{_PORT}"],
         "network_mode": "none",
         "binds": {str(folder): {"bind": _INSIDE, "mode": "ro"}},
     }

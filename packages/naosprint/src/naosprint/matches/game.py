@@ -18,14 +18,16 @@ from naospec.teams import MAX_HALF_S, MAX_PLAYERS
 
 from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
 from naosprint.matches.containers import AgentContainer, ContainerAgents
+from naosprint.matches.doors import Doors
 from naosprint.matches.log import GameLog, HalfRecorder, joined
 from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from naosim.launchers import Address, Launcher, ServerHandle
+    from naosim.launchers import Launcher, ServerHandle
 
+    from naosprint.matches.stream import Player
     from naosprint.matches.teams import Team
 
 logger = logging.getLogger(__name__)
@@ -49,7 +51,7 @@ class ServerFailedError(MatchError):
 
 
 class TeamFailedError(MatchError):
-    """A team of which no player entered the field, or whose containers cannot be started."""
+    """A team without a player on the field, with one past the doors of its agents, or whose containers do not start."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ def play_game(
 
     Raises:
         ServerFailedError: a server did not start or ended.
-        TeamFailedError: a team did not enter the field.
+        TeamFailedError: a team did not enter the field, or one past the doors of its agents did.
     """
     halves: list[HalfRecorder] = []
     notes = []
@@ -181,6 +183,9 @@ class _Half:
         self._agents: dict[tuple[str, int], AgentProcess | AgentContainer] = {}
         self._containers: ContainerAgents | None = None
         """Where the agents of teams with an image come from."""
+        self._doors: Doors | None = None
+        self._entered: set[Player] = set()
+        """Players whose agents have come through their doors."""
         self._lost: list[dict[str, Any]] = []
         self._cpu_cycles, self._cpu_at = 0, 0.0
 
@@ -196,19 +201,24 @@ class _Half:
             agent.stop()
         if self._containers is not None:
             self._containers.close()
+        if self._doors is not None:
+            self._doors.close()
 
     def play(self, on_moment: Callable[[Moment], None]) -> HalfRecorder:
         """Start everything, play until the referee ends the half, and return its frames."""
         settings = self._settings
         self._server = self._launcher.start()
         self._monitor = monitor = GameMonitor(self._server, time.monotonic() + settings.start_s)
-        first = self._enter(monitor)
         roster = [(team, number) for team in range(2) for number in range(1, settings.players + 1)]
-        recorder = HalfRecorder(roster, [(self._names[team], number) for team, number in roster], self._left)
+        players = [(self._names[team], number) for team, number in roster]
+        in_image = [self._teams[team].image is not None for team, _ in roster]
+        self._doors = doors = Doors(self._server.address, dict(zip(players, in_image, strict=True)))
+        first = self._enter(monitor, doors)
+        recorder = HalfRecorder(roster, players, self._left)
         kick_off_at, kicked_off = first.time_s + _SETTLE_S, False
         deadline, looked_at, frame = time.monotonic() + settings.wall_s, 0.0, first
         while frame.mode != _GAME_OVER:
-            frame = monitor.next(time.monotonic() + _QUIET_S + 5.0 * len(self._agents))
+            frame = self._next(monitor, doors, _QUIET_S + 5.0 * len(self._agents))
             if not kicked_off and frame.time_s >= kick_off_at:
                 monitor.send("(kickOff Left)")
                 kicked_off = True
@@ -224,39 +234,49 @@ class _Half:
         self._look(frame)
         return recorder
 
-    def _enter(self, monitor: GameMonitor) -> Frame:
+    def _next(self, monitor: GameMonitor, doors: Doors, wait_s: float) -> Frame:
+        """Return the next frame; raise TeamFailedError if a player on the field has not come through its door."""
+        frame = monitor.next(time.monotonic() + wait_s)
+        if frame.bodies.keys() - self._entered:
+            self._entered = doors.entered()
+        for side, number in sorted(frame.bodies.keys() - self._entered):
+            team = f"team {'AB'[self._names.index(side)]}" if side in self._names else f"team {side!r} of no agent"
+            raise TeamFailedError(
+                f"{team}: player {number} entered the field past the doors of the agents; an agent connects to the "
+                "port that its command gets, once"
+            )
+        return frame
+
+    def _enter(self, monitor: GameMonitor, doors: Doors) -> Frame:
         """Start the agents, the left team's first; return the frame in which all that come are on the field."""
-        frame = monitor.next(time.monotonic() + self._settings.start_s)
-        assert self._server is not None  # `play` has started it
+        frame = self._next(monitor, doors, self._settings.start_s)
         for team in self._order:
             name = self._names[team]
             for number in range(1, self._settings.players + 1):
-                self._agents[name, number] = self._start(team, number, self._server.address)
+                self._agents[name, number] = self._start(team, number, doors)
             last = team == self._order[1]
             deadline = time.monotonic() + self._settings.start_s
             while True:
-                frame = monitor.next(deadline + _QUIET_S)
+                frame = self._next(monitor, doors, deadline - time.monotonic() + _QUIET_S)
                 here = {player for player in frame.bodies if player[0] == name}
                 coming = {player for player, agent in self._agents.items() if player[0] == name and agent.alive()}
                 late = time.monotonic() > deadline
                 if not here and (late or not coming):
-                    first = self._agents[name, 1]
-                    raise TeamFailedError(
-                        f"team {'AB'[team]}: no player entered the field; player 1: {first.describe()}"
-                    )
+                    words = self._agents[name, 1].describe() + doors.refused((name, 1))
+                    raise TeamFailedError(f"team {'AB'[team]}: no player entered the field; player 1: {words}")
                 if here and (late or not last or coming <= set(frame.bodies)):
                     break
         return frame
 
-    def _start(self, index: int, number: int, server: Address) -> AgentProcess | AgentContainer:
+    def _start(self, index: int, number: int, doors: Doors) -> AgentProcess | AgentContainer:
         """Start an agent of a team; raise TeamFailedError if its containers cannot be started."""
         team, name = self._teams[index], self._names[index]
         players, limits = self._settings.players, self._settings.limits
         if team.image is None:
-            return AgentProcess(team, name, number, players, server, limits)
+            return AgentProcess(team, name, number, players, doors.address((name, number)), limits)
         try:
-            self._containers = self._containers or ContainerAgents(server)
-            return self._containers.start(team, name, number, players, limits)
+            self._containers = self._containers or ContainerAgents()
+            return self._containers.start(team, name, number, players, doors.folder((name, number)), limits)
         except LauncherUnavailableError as error:
             raise ServerFailedError(f"team {'AB'[index]}: {error}") from error
         except OSError as error:

@@ -136,9 +136,9 @@ def request_evaluation(
 
     202 for a new one; 200 if the idempotency key was used before for this job with the same body.
     """
-    owner = queries.visible_job(service.reads, principal, job_id).owner
+    queries.visible_job(service.reads, principal, job_id)
     request = (body or EvaluationCreate.model_validate({})).request()
-    row, created = submission.submit_evaluation(service.sessions, job_id, request, **submitted.options(owner))
+    row, created = submission.submit_evaluation(service.sessions, job_id, request, **submitted.options)
     submitted.made(f"/evaluations/{row.id}", row, created=created)
     return service.show_evaluation(row)
 

@@ -39,7 +39,7 @@ from naosprint_api.schemas.jobs import (
     MetricsPublic,
 )
 from naosprint_api.service import Service
-from naosprint_api.submitted import SubmissionDep, require_space
+from naosprint_api.submitted import SubmissionDep
 from naosprint_api.views import event_view, log_view
 
 router = APIRouter(tags=["jobs"], route_class=CountedRoute)
@@ -104,7 +104,7 @@ def submit_job(body: JobCreate, principal: Submitter, service: ServiceDep, submi
     """Queue a training. 201 for a new job; 200 if the idempotency key was used before with the same body."""
     owner, request = principal.owner, body.request()
     job, created = submission.submit(
-        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options(owner)
+        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options
     )
     submitted.made(f"/jobs/{job.id}", job, created=created)
     return service.show_job(job)
@@ -117,7 +117,7 @@ def submit_group(body: GroupCreate, principal: Submitter, service: ServiceDep, s
     """Queue several trainings that differ in seed or in fields of a grid: all of them, or none."""
     owner, request = principal.owner, body.request()
     group_id, jobs, created = submission.submit_group(
-        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options(owner)
+        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options
     )
     submitted.made(f"/jobs?group={group_id}", *jobs, created=created)
     return GroupPublic(id=group_id, jobs=service.show_jobs(jobs))
@@ -176,7 +176,7 @@ def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, backgro
 @router.post("/jobs/{job_id}/retry", responses=CONTROL)
 def retry_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
     """Queue a failed or cancelled job again; it resumes from its last checkpoint."""
-    require_space(service, controllable(service, principal, job_id).owner)
+    controllable(service, principal, job_id)
     job = requests.retry(service.sessions, Job, job_id, limits=service.settings.limits)
     background.add_task(service.wake_up, job)
     return service.show_job(job)

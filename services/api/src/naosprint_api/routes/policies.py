@@ -123,7 +123,9 @@ def get_policy_replay(
     answer = send_file(
         request, service.store, service.store_threads, key, manifest, naopolicies.REPLAY, presigned=False
     )
-    answer.headers["Content-Type"] = "application/json"
+    # Another evaluation, version or user may have another one at this address.
+    changing = {"Cache-Control": "private, no-cache", "Vary": "Authorization"}
+    answer.headers.update({"Content-Type": "application/json", **changing})
     return answer
 
 

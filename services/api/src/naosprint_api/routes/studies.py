@@ -62,7 +62,7 @@ def submit_study(body: StudyCreate, principal: Submitter, service: ServiceDep, s
         raise InvalidError(f"at most {limit} jobs may be open at a time; use a lower number", "search.parallel")
     owner, request = principal.owner, StudyRequest(body.job.request(), body.search, body.name)
     study, created = studies.submit_study(
-        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options(owner)
+        service.sessions, request, owner=owner, see_all=principal.is_admin, **submitted.options
     )
     submitted.made(f"/studies/{study.id}", created=created)
     return StudyPublic.model_validate(study)

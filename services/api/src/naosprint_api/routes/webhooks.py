@@ -61,7 +61,7 @@ def make_webhook(body: WebhookCreate, principal: Submitter, service: ServiceDep)
     """Register an address that receives messages about one's own jobs, evaluations, matches and studies.
 
     An address of http or https gets signed JSON; the secret that verifies the signatures is only in this answer. Any
-    other one gets alerts, text for people; no answer shows it again.
+    other one gets alerts, text for people; no answer shows it again. A webhook ends with the token that made it.
     """
     settings = service.settings
     is_alert = webhooks.is_alert(body.url)
@@ -71,6 +71,7 @@ def make_webhook(body: WebhookCreate, principal: Submitter, service: ServiceDep)
     webhook = webhooks.create_webhook(
         service.sessions,
         owner=principal.owner,
+        token_id=principal.token_id,
         url=body.url,
         signed=not is_alert,
         events=body.events,

@@ -51,7 +51,8 @@ class WebhookPublic(RowView):
     )
     events: list[MessageType]
     disabled_at: datetime | None = Field(
-        description="When its receiver answered 410 Gone, after which nothing is sent; null if it did not."
+        description="When its receiver answered 410 Gone, or the token that made it was found revoked or expired; "
+        "nothing is sent after it. Null if neither."
     )
     created_at: datetime
 

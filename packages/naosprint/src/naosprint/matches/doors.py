@@ -1,0 +1,116 @@
+"""Doors of a game: each agent reaches the server through one of its own, which passes its player and nobody else."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import naosim.launchers
+from naosim.launchers import Address
+
+from naosprint.matches import relay
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from naosprint.matches.stream import Player
+
+SOCKET = "server"
+"""Name of a door that is a Unix socket, in a folder of its own."""
+_GUARD = Path(naosim.launchers.__file__).with_name("guard.py")
+_HOST = "127.0.0.1"
+
+
+class Doors:
+    """The doors of all players of a half, in one process.
+
+    Args:
+        server: address of the server.
+        players: of each player by the server's names whether its door is a Unix socket, for a container, in place of a
+            port.
+
+    Raises:
+        OSError: if they do not open.
+    """
+
+    def __init__(self, server: Address, players: Mapping[Player, bool]) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="naosprint-relay-"))
+        self._ports: dict[Player, int] = {}
+        self._entered: set[Player] = set()
+        self._refused: dict[Player, str] = {}
+        self._rest = b""
+        words: list[str] = []
+        for (team, number), is_socket in players.items():
+            listen = f"tcp:{_HOST}:0"
+            if is_socket:
+                folder = self.folder((team, number))
+                folder.mkdir()
+                folder.chmod(0o711)  # the relays' user opens what it has the name of
+                listen = f"unix:{folder / SOCKET}"
+            words += [listen, team, str(number)]
+        isolated = (sys.executable, "-I", "-S")
+        guard = (*isolated, str(_GUARD), str(self._folder), str(int(signal.SIGTERM)))
+        self._process = subprocess.Popen(
+            [*guard, *isolated, relay.__file__, f"tcp:{server.host}:{server.agent_port}", *words],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,
+        )
+        assert self._process.stdout is not None
+        for player in players:
+            line = self._process.stdout.readline().split()
+            if not line:
+                self.close()
+                raise OSError(f"the relay to {server.host}:{server.agent_port} does not start")
+            if not players[player]:
+                self._ports[player] = int(line[-1])
+        os.set_blocking(self._process.stdout.fileno(), False)
+
+    def address(self, player: Player) -> Address:
+        """Return what is the server to an agent; it has no monitor port."""
+        return Address(_HOST, self._ports[player], 0)
+
+    def folder(self, player: Player) -> Path:
+        """Return the folder with the Unix socket `SOCKET` of a player."""
+        return self._folder / f"{player[0]}-{player[1]}"
+
+    def entered(self) -> set[Player]:
+        """Return the players whose agents have asked the server to enter the field."""
+        self._read()
+        return self._entered
+
+    def refused(self, player: Player) -> str:
+        """Return what an agent began with in place of its own entry, for people; empty without."""
+        self._read()
+        if player in self._entered or player not in self._refused:
+            return ""
+        return f"; it began with {self._refused[player]}, not with (init MODEL {player[0]} {player[1]})"
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        while data := self._process.stdout.read(1 << 16):
+            *lines, self._rest = (self._rest + data).split(b"\n")
+            for line in lines:
+                team, number, what, *words = line.decode("ascii").split(" ", 3)
+                if what == "entered":
+                    self._entered.add((team, int(number)))
+                else:
+                    self._refused[team, int(number)] = " ".join(words)
+
+    def close(self) -> None:
+        """Close them, after each of the agents has been stopped."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
