@@ -21,8 +21,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from naospec.json_text import json_text
@@ -80,11 +81,11 @@ def main() -> int:
     options = parser.parse_args()
     if options.refresh:
         for name in options.names:
-            refresh(name)
+            refresh(name, options.parts)
         return 0
     if options.examine:
         for name in options.names:
-            write_card({**naopolicies.card(name), **examination.examine(BUNDLED / name).to_dict()})
+            write_card({**naopolicies.card(name), **examined(name, options.parts)})
         return 0
     (name,) = options.names
     if options.training:
@@ -141,10 +142,18 @@ def put_in_place(name: str, checkpoint: Path, earlier: Path | None) -> None:
         shutil.copytree(earlier, target / naopolicies.EARLIER)
 
 
-def refresh(name: str) -> None:
+def examined(name: str, parts: Sequence[str]) -> dict[str, Any]:
+    """Examine a bundled policy, and return what a card says of these parts; of all if there are none."""
+    found = examination.examine(BUNDLED / name, names=parts).to_dict()
+    others = {"motion", "conditions"}
+    asked = {"motion": "motion" in parts, "robustness": "conditions" in parts, "ranges": not others.issuperset(parts)}
+    return {key: part for key, part in found.items() if asked[key] or not parts}
+
+
+def refresh(name: str, parts: Sequence[str]) -> None:
     """Evaluate a bundled policy with its card's settings, rewrite card, replay and page, and print what changed."""
     card = naopolicies.card(name)
-    write(name, EvaluationSpec.model_validate(card["evaluation"]), card["lineage"])
+    write(name, EvaluationSpec.model_validate(card["evaluation"]), card["lineage"], parts, card)
     old, new = by_name(card), by_name(naopolicies.card(name))
     changed = [key for key in old.keys() | new.keys() if old.get(key) != new.get(key)]
     print(f"  {'no result has changed' if not changed else 'changed: ' + ', '.join(sorted(changed))}")
@@ -214,8 +223,17 @@ def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[d
     return found
 
 
-def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]], examined: Sequence[str] = ()) -> None:
-    """Evaluate a policy whose weights are in place; write its card, its replay and its page."""
+def write(
+    name: str,
+    spec: EvaluationSpec,
+    parts: list[dict[str, Any]],
+    parts_examined: Sequence[str] = (),
+    before: Mapping[str, Any] = MappingProxyType({"motion": {}, "robustness": [], "ranges": {}}),
+) -> None:
+    """Evaluate a policy whose weights are in place; write its card, its replay and its page.
+
+    Parts of the examination that are not asked for are those of the card ``before``.
+    """
     target = BUNDLED / name
     trained = read_manifest(target).stage_spec
     with tempfile.TemporaryDirectory() as scratch:
@@ -234,7 +252,8 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]], examined
             "training_s": sum(int(one["training_s"]) for one in parts),
             **{key: summary[key] for key in ("episodes", "results", "headline", "tables", "evaluation")},
             "lineage": parts,
-            **examination.examine(target, names=examined).to_dict(),
+            **{key: before[key] for key in ("motion", "robustness", "ranges")},
+            **examined(name, parts_examined),
         }
         report = write_report(work / "report", evaluation=work, title=name).parent
         pictures = PAGES / name

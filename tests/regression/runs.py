@@ -17,27 +17,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from naosprint.threads import COMMON_KERNELS
+
 EPISODES, FEW_EPISODES = 25, 4
 TOTAL_STEPS = 40_000
 TIMING_COLUMNS = ("time_s", "steps_per_s", "collect_s", "simulator_s", "learn_s", "eta_s")
 
-_PINNED = {
-    "OPENBLAS_CORETYPE": "Haswell",
-    "OPENBLAS_L2_SIZE": "256",
-    "OPENBLAS_NUM_THREADS": "1",
-    # the only branch of MKL that is the same on the processors of all makers
-    "MKL_CBWR": "COMPATIBLE",
-    "MKL_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "ATEN_CPU_CAPABILITY": "avx2",
-    "ONEDNN_MAX_CPU_ISA": "AVX2",
-    "ONEDNN_DEFAULT_FPMATH_MODE": "STRICT",
-    # the groups of NumPy 2.4 that use AVX-512
-    "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
-    "PYTHONHASHSEED": "0",
-    # NumPy warns if the processor lacks a feature to disable
-    "PYTHONWARNINGS": "ignore",
-}
+_PINNED = {**COMMON_KERNELS, "PYTHONHASHSEED": "0"}
 
 _UNPINNED_PREFIXES = ("OPENBLAS_", "MKL_", "OMP_", "GOMP_", "KMP_", "ONEDNN_", "DNNL_", "ATEN_", "NPY_", "TORCH_")
 
@@ -266,7 +252,18 @@ def platform() -> dict[str, str]:
     return hashes(probes)
 
 
+def verification() -> dict[str, Any]:
+    """Train the last steps of each bundled policy that has a checkpoint for it; return which arrays differ."""
+    import naopolicies
+    from naosprint.rl.verification import last_two, verify
+
+    folders = {name: naopolicies.folder(name) for name in naopolicies.names()}
+    kept = {name: folder for name, folder in folders.items() if (folder / naopolicies.EARLIER).is_dir()}
+    return {name: list(verify(*last_two(folder)).differing) for name, folder in kept.items()}
+
+
 KINDS = {
+    "verification": verification,
     "evaluations": evaluations,
     "training-fast": partial(training, "fast"),
     "training-paper": partial(training, "paper"),

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import signal
+import subprocess
 import sys
 import threading
 import typing
@@ -516,9 +517,15 @@ def _verify(options: argparse.Namespace) -> int:
 
     from naosprint.rl.checkpoint import read_manifest
     from naosprint.rl.verification import last_two, verify
+    from naosprint.threads import COMMON_KERNELS
 
-    named = naopolicies.resolve(options.earlier)
-    earlier, later = (named, options.later) if options.later else last_two(named)
+    if str(options.earlier) in naopolicies.names() and not COMMON_KERNELS.items() <= os.environ.items():
+        # libraries read these when they are loaded
+        named = [str(path) for path in (options.earlier, options.later) if path is not None]
+        command = [sys.executable, "-P", "-m", "naosprint", "verify", *named]
+        return subprocess.run(command, env={**os.environ, **COMMON_KERNELS}, check=False).returncode
+    folder = naopolicies.resolve(options.earlier)
+    earlier, later = (folder, options.later) if options.later else last_two(folder)
     first, last = read_manifest(earlier).steps, read_manifest(later).steps
     with Progress(transient=True, console=Console(stderr=True)) as progress:
         bar = progress.add_task("training again", total=last - first)

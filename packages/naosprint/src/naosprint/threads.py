@@ -1,4 +1,4 @@
-"""Number and wait policy of threads."""
+"""Number and wait policy of threads, and the instruction sets of the libraries that compute on them."""
 
 from __future__ import annotations
 
@@ -18,6 +18,24 @@ _QUIET = {
     # LLVM and Intel OpenMP: microseconds to spin after a parallel region.
     "KMP_BLOCKTIME": "0",
 }
+
+COMMON_KERNELS = {
+    "OPENBLAS_CORETYPE": "Haswell",
+    "OPENBLAS_L2_SIZE": "256",
+    "OPENBLAS_NUM_THREADS": "1",
+    # the only branch of MKL that is the same on the processors of all makers
+    "MKL_CBWR": "COMPATIBLE",
+    "MKL_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "ATEN_CPU_CAPABILITY": "avx2",
+    "ONEDNN_MAX_CPU_ISA": "AVX2",
+    "ONEDNN_DEFAULT_FPMATH_MODE": "STRICT",
+    # the groups of NumPy 2.4 that use AVX-512
+    "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
+    # NumPy warns if the processor lacks a feature to disable
+    "PYTHONWARNINGS": "ignore",
+}
+"""Environment of a process in which libraries compute the same bits on every x86-64 processor with AVX2."""
 
 
 def quiet_openmp() -> bool:
