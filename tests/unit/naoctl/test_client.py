@@ -57,13 +57,38 @@ def test_pages_follow_the_cursor_and_stop_at_the_limit(server: Any, client: Clie
 def test_every_refusal_has_words_a_fix_and_a_code(
     server: Any, client: Client, status: int, code: ExitCode, words: str
 ) -> None:
-    server.on("GET", "/x")(lambda request: request.problem(status, "no such thing", retry_after="7"))
+    server.on("GET", "/jobs/x")(lambda request: request.problem(status, "no such thing", retry_after="7"))
     with pytest.raises(ApiError) as caught:
-        client.get("/x")
+        client.get("/jobs/x")
     assert caught.value.code is code
     assert caught.value.status == status
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "detail", "shown", "fix"),
+    [
+        ("/studies/a/trials/7/tell", "study a has no trial 7", "Study a has no trial 7", "naoctl study list"),
+        ("/matches/m", "no match m", "No match m", "naoctl match list"),
+        (
+            "/policies/t1-sprint",
+            "t1-sprint is a bundled policy",
+            "t1-sprint is a bundled policy",
+            "naoctl policies list",
+        ),
+        ("/policies/sprint", "sprint is a bundled policy", "sprint is a bundled policy", "naoctl policies list"),
+        ("/usage", "no owner x", "No owner x", ""),
+    ],
+)
+def test_what_does_not_exist_is_looked_up_where_it_would_be(
+    server: Any, client: Client, path: str, detail: str, shown: str, fix: str
+) -> None:
+    server.on("GET", path)(lambda request: request.problem(404, detail))
+    with pytest.raises(ApiError) as caught:
+        client.get(path)
+    assert caught.value.message == shown
+    assert fix in (caught.value.fix or "") and bool(fix) == bool(caught.value.fix)
 
 
 def test_wrong_fields_are_named(server: Any, client: Client) -> None:

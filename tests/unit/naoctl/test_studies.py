@@ -40,6 +40,7 @@ def test_flags_become_a_search() -> None:
         (["wings=1..2"], [], "no setting wings"),
         (["gamma=0.9"], [], "neither LOW..HIGH nor A|B"),
         (["gamma=a..b"], [], "is not LOW..HIGH"),
+        (["n_epochs=5..20.9"], [], "n_epochs is a whole number"),
         (["gamma=0.9..0.99:cubic"], [], "unknown scale 'cubic'"),
         (["gamma=0.9..0.99", "gamma=1|2"], [], "given twice"),
         (["gamma=0.99..0.9"], [], "space.gamma: high: expected a number above low"),

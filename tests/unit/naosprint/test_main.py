@@ -190,6 +190,8 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed
     [
         (["team", "x", "--team", "other"], "--team: expected 'example' with or without policies of its skills"),
         (["match", "report", __file__], "test_main.py: not the log of a game"),
+        (["match", "report", "game-9.npz"], "game-9.npz: there is no such log; `naosprint match` writes game-001.npz"),
+        (["match", "film", "game-9.npz"], "game-9.npz: there is no such log; `naosprint match` writes game-001.npz"),
         (["match", "example", "example", "--cpu-seconds", "-1"], "cpu_seconds: must be at least 1, not -1"),
         (["train", "x", "--task", "swim"], "--task: unknown task 'swim': choose one of "),
         (["train", "x", "--n-envs", "many"], "--n-envs: "),

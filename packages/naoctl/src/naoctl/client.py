@@ -224,6 +224,19 @@ def unreachable(url: str, error: httpx.TransportError) -> CliError:
     return Unreachable(url, _reason(error))
 
 
+_HINTS = {
+    "jobs": ("`naoctl list` shows all jobs.", "`naoctl status JOB` shows the job's state."),
+    "policies": ("`naoctl policies list` shows all policies.", None),
+    "studies": ("`naoctl study list` shows all studies.", "`naoctl study show STUDY` shows the study and its trials."),
+    "matches": ("`naoctl match list` shows all matches.", "`naoctl match show MATCH` shows the match's state."),
+    "teams": ("`naoctl team list` shows all teams.", None),
+    "webhooks": ("`naoctl webhook list` shows all webhooks.", None),
+    "tokens": ("`naoctl token list` shows all tokens.", None),
+    "workers": ("`naoctl workers` shows all workers.", None),
+}
+"""By the first part of an address, where to look if something does not exist, and if it is in the way."""
+
+
 def raise_for_problem(response: httpx.Response) -> None:
     """Raise ``ApiError`` for an unsuccessful response, with the message of its problem document."""
     status = response.status_code
@@ -242,9 +255,12 @@ def raise_for_problem(response: httpx.Response) -> None:
         f"{item.get('field')}: {item.get('message')}" for item in problem.get("errors") or () if isinstance(item, dict)
     ]
     has_fields = fields and status in (400, 422)
-    message = "; ".join(fields) if has_fields else detail[:1].upper() + detail[1:].rstrip(".")
+    # what begins with a name stays as it is
+    first, parts = plain(detail, " ", keep="").partition(" ")[0], response.request.url.path.split("/")
+    sentence = detail[:1].upper() + detail[1:] if first.isalpha() and first not in parts else detail
+    message = "; ".join(fields) if has_fields else sentence.rstrip(".")
     code, fix = ExitCode.FAILURE, None
-    policies = "/policies/" in response.request.url.path
+    shows_all, shows_one = _HINTS.get(parts[1], (None, None))
     if status in (301, 302, 303, 307, 308):
         message = f"The service moved to {response.headers.get('location', 'another address')}"
         fix = "Use that address with --url."
@@ -253,14 +269,11 @@ def raise_for_problem(response: httpx.Response) -> None:
         if not response.request.headers.get("Authorization"):
             message = f"{response.request.url.copy_with(raw_path=b'/')} requires a token"
     elif status == 403:
-        code, fix = ExitCode.DENIED, "Use a token with this scope; an administrator can create one."
+        code, fix = ExitCode.DENIED, "An administrator can create a token with this scope."
     elif status == 404:
-        code, fix = (
-            ExitCode.NOT_FOUND,
-            "`naoctl policies list` shows all policies." if policies else "`naoctl list` shows all jobs.",
-        )
+        code, fix = ExitCode.NOT_FOUND, shows_all
     elif status == 409:
-        code, fix = ExitCode.CONFLICT, None if policies else "`naoctl status JOB` shows the job's state."
+        code, fix = ExitCode.CONFLICT, shows_one
     elif status in (400, 413, 415, 422):
         code = ExitCode.USAGE
     elif status == 429:

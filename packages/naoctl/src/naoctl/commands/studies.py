@@ -190,6 +190,8 @@ def _parameter(field: str, text: str, known: dict[str, Any]) -> dict[str, Any]:
         except ValueError:
             raise InvalidInput(f"--space {field}={text} is not LOW..HIGH", fix=_SPACE_EXAMPLE) from None
         whole = "float" not in str(known[field].info.annotation)
+        if whole and not (low.is_integer() and high.is_integer()):
+            raise InvalidInput(f"--space {field}={text}: {field} is a whole number", fix="For example 5..20.")
         kind: Any = int if whole else float
         return {"type": kind.__name__, "low": kind(low), "high": kind(high), "log": scale == "log"}
     values = [parse_flags(known, {field: item.strip()})[field] for item in text.split("|") if item.strip()]

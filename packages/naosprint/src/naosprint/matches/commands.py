@@ -101,11 +101,18 @@ def team(options: argparse.Namespace) -> int:
 def _report(paths: list[Path], *, as_json: bool) -> int:
     found: list[Path] = []
     for path in paths:
-        found += sorted(path.glob("game-*.npz")) if path.is_dir() else [path]
+        found += sorted(path.glob("game-*.npz")) if path.is_dir() else [_existing(path)]
     if not found:
         raise ValueError(f"match report: name logs of games ({log_name(1)}), or a folder with them")
     _print([GameLog.load(path) for path in found], as_json=as_json)
     return 0
+
+
+def _existing(path: Path) -> Path:
+    """Return the file of a log. Raises ValueError if there is none."""
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such log; `naosprint match` writes {log_name(1)} into its folder")
+    return path
 
 
 def _film(paths: list[Path], output: Path, *, goals: bool) -> int:
@@ -113,7 +120,8 @@ def _film(paths: list[Path], output: Path, *, goals: bool) -> int:
 
     if len(paths) != 1:
         raise ValueError(f"match film: name one log of a game ({log_name(1)})")
-    log = GameLog.load(paths[0])
+    output.parent.mkdir(parents=True, exist_ok=True)
+    log = GameLog.load(_existing(paths[0]))
     frames = goal_frames(log) if goals else None
     if frames == []:
         raise ValueError(f"{paths[0]}: no goal was scored; leave out --goals to film the whole game")

@@ -403,7 +403,7 @@ class JobView {
         : null,
     );
     const left = remaining(job);
-    setText(s.rate.k, isEnded(job.state) ? "Steps per second, at the end" : "Steps per second");
+    setText(s.rate.k, isEnded(job.state) ? "Steps per second at last" : "Steps per second");
     setText(s.elapsed.k, isEnded(job.state) || job.state === "paused" ? "Ran for" : "Running for");
     show(
       s.elapsed,

@@ -43,6 +43,7 @@ export function problem(error, retry) {
       title = "The service failed";
       text = `${error.message} (status ${error.status}).`;
     }
+    if (!/[.!?]$/.test(text)) text += ".";
     if (error.requestId) hint = [" Request ", h("code", null, error.requestId), "."];
   }
   return h(

@@ -150,9 +150,13 @@ export async function mount(root, { id, signal }) {
     for (const figure of figures) figure.destroy();
     const ended = study.trials.filter((trial) => trial.state !== "running").length;
     const goals = study.spec.objectives;
-    const parts = [
-      [`Curves of the best trials: ${words(metric)}`, "curves", (width) => curves(width, lines, words(metric))],
-    ];
+    const parts = [];
+    if (!study.spec.elsewhere)
+      parts.push([
+        `Curves of the best trials: ${words(metric)}`,
+        "curves",
+        (width) => curves(width, lines, words(metric)),
+      ]);
     if (ranking(study).length)
       parts.push(["Settings and results", "coordinates", (width) => coordinates(width, study)]);
     if (goals.length > 1 && ranking(study).length)
