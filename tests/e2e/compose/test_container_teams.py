@@ -14,7 +14,7 @@ import pytest
 from naosim.launchers import Address
 from naosprint.matches.agents import Limits
 from naosprint.matches.containers import RELAY_VARIABLE, ContainerAgents
-from naosprint.matches.doors import Doors
+from naosprint.matches.endpoints import AgentEndpoints
 from naosprint.matches.game import GameSettings, TeamFailedError, play_game
 from naosprint.matches.teams import Team, find_team, read_team
 
@@ -97,10 +97,10 @@ def test_an_agent_reaches_its_server_alone_and_has_limits(build: Builder, engine
         number = other.getsockname()[1]
         team = build(f"python3 probe.py {{host}} {{port}} {number}", {"probe.py": PROBE})
         player = ("left", 1)
-        doors = Doors(Address("127.0.0.1", server.getsockname()[1], number), {player: True})
+        endpoints = AgentEndpoints(Address("127.0.0.1", server.getsockname()[1], number), {player: True})
         agents = ContainerAgents()
         try:
-            agent = agents.start(team, *player, 1, doors.folder(player), Limits(cpu_s=60, memory_mb=128))
+            agent = agents.start(team, *player, 1, endpoints.folder(player), Limits(cpu_s=60, memory_mb=128))
             server.settimeout(60)
             client, _ = server.accept()
             with client, client.makefile("rb") as lines:
@@ -115,7 +115,7 @@ def test_an_agent_reaches_its_server_alone_and_has_limits(build: Builder, engine
             agent.stop()
         finally:
             agents.close()
-            doors.close()
+            endpoints.close()
     assert found["user"] == 10001
     assert (found["capabilities"], found["no new privileges"]) == (0, 1)
     assert found["interfaces"] == ["lo"]
@@ -127,7 +127,7 @@ def test_an_agent_reaches_its_server_alone_and_has_limits(build: Builder, engine
     assert "out of memory" in words
     assert not agent.alive()
     assert containers(engine) == before
-    assert not doors.folder(player).exists()
+    assert not endpoints.folder(player).exists()
 
 
 def test_a_missing_image_is_named(build: Builder, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from naosim.launchers import Address
 from naosprint.__main__ import main
 from naosprint.matches import game
-from naosprint.matches.doors import Doors
+from naosprint.matches.endpoints import AgentEndpoints
 from naosprint.matches.game import GameSettings, TeamFailedError, play_game
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import play_match
@@ -116,18 +116,18 @@ def test_a_team_that_enters_under_another_name_is_told_what_to_send(tmp_path: Pa
 def test_a_robot_that_is_no_agents_ends_the_game(
     player: str, team: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It has come past the doors, as a program can where the kernel does not keep it from the server's port."""
+    """It has come past the endpoints, as a program can where the kernel does not keep it from the server's port."""
     words = [sys.executable, "-P", "-c", ENTERING]
     began: list[subprocess.Popen[bytes]] = []
 
-    class Opened(Doors):
+    class Opened(AgentEndpoints):
         def __init__(self, server: Address, players: Mapping[Player, bool]) -> None:
             super().__init__(server, players)
             began.append(subprocess.Popen([*words, server.host, str(server.agent_port), "", "", player]))
 
-    monkeypatch.setattr(game, "Doors", Opened)
+    monkeypatch.setattr(game, "AgentEndpoints", Opened)
     standing = entering(tmp_path / "standing")
-    with pytest.raises(TeamFailedError, match=f"{team}.* entered the field past the doors of the agents"):
+    with pytest.raises(TeamFailedError, match=f"{team}.* entered the field past the endpoints of the agents"):
         play_game((standing, standing), ("a", "b"), 0, GameSettings(players=1, half_s=1.0))
     assert began[0].wait(30) == 0
 

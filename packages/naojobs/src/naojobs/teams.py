@@ -220,7 +220,9 @@ def upload_team(
     )
     try:
         with sessions.begin() as session:
-            require_room(session, owner, limits, Quota.BYTES, more=manifest.size)  # others may have come meanwhile
+            require_room(
+                session, owner, limits, Quota.BYTES, more=manifest.size
+            )  # other uploads may have been stored meanwhile
             session.add(team)
             session.flush()
             session.refresh(team)

@@ -154,7 +154,7 @@ def nest(values: Mapping[str, Any], base: Mapping[str, Any] | None = None) -> di
     return result
 
 
-def _moved_seeds(spec: Mapping[str, Any], seed: Any) -> dict[str, Any]:
+def _moved_seeds(spec: Mapping[str, Any], seed: object) -> dict[str, Any]:
     """Return the stages with their own seeds as far from ``seed`` as they are from the specification's."""
     before, stages = spec.get("seed", 0), spec.get("stages")
     if type(seed) is not int or type(before) is not int or not isinstance(stages, list | tuple):

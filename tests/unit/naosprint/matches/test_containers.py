@@ -15,7 +15,7 @@ from naosim.launchers import Address
 from naosprint.matches import relay
 from naosprint.matches.agents import Limits
 from naosprint.matches.containers import RELAY_VARIABLE, ContainerAgents, agent_options, relay_options
-from naosprint.matches.doors import SOCKET, Doors
+from naosprint.matches.endpoints import SOCKET, AgentEndpoints
 from naosprint.matches.teams import read_team
 
 
@@ -119,16 +119,20 @@ def began(address: str | tuple[str, int], text: str) -> bytes:
             return b""
 
 
-def test_a_door_passes_one_connection_of_its_player_and_nobody_else(echo: int) -> None:
+def test_an_endpoint_passes_one_connection_of_its_player_only(echo: int) -> None:
     """As the other team's player, as one more of its own, or a second time."""
-    doors = Doors(Address("127.0.0.1", echo, 1), {("left", 1): False, ("right", 1): False, ("right", 2): True})
+    endpoints = AgentEndpoints(
+        Address("127.0.0.1", echo, 1), {("left", 1): False, ("right", 1): False, ("right", 2): True}
+    )
     try:
-        left, right = ((each.host, each.agent_port) for each in map(doors.address, [("left", 1), ("right", 1)]))
-        socket_path = str(doors.folder(("right", 2)) / SOCKET)
+        left, right = ((each.host, each.agent_port) for each in map(endpoints.address, [("left", 1), ("right", 1)]))
+        socket_path = str(endpoints.folder(("right", 2)) / SOCKET)
         for text in ("(init T1 right 1)", "(init T1 left 2)", "(init T1 left 101)", "(init T1 left 1)(init)", "(syn)"):
             assert began(left, text) == b"", text
-        assert doors.entered() == set()
-        assert doors.refused(("left", 1)).startswith("; it began with '(init T1 right 1)', not with (init MODEL left 1")
+        assert endpoints.entered() == set()
+        assert endpoints.refused(("left", 1)).startswith(
+            "; it began with '(init T1 right 1)', not with (init MODEL left 1"
+        )
         # connections of one agent take no place from others
         waiting = [socket.create_connection(left) for _ in range(100)]
         assert began(right, "(init T1 right 1)") == b"(init T1 right 1)"
@@ -136,22 +140,22 @@ def test_a_door_passes_one_connection_of_its_player_and_nobody_else(echo: int) -
         for each in waiting:
             each.close()
         assert began(left, " (init  T1 left 1) ") == b"(init T1 left 1)", "what the server gets is in one form"
-        assert doors.entered() == {("left", 1), ("right", 1), ("right", 2)}
-        assert doors.refused(("left", 1)) == ""
+        assert endpoints.entered() == {("left", 1), ("right", 1), ("right", 2)}
+        assert endpoints.refused(("left", 1)) == ""
         with pytest.raises(ConnectionRefusedError):
             began(right, "(init T1 right 1)")
     finally:
-        doors.close()
-    assert not doors.folder(("right", 2)).parent.exists()
+        endpoints.close()
+    assert not endpoints.folder(("right", 2)).parent.exists()
 
 
-def test_many_refusals_at_one_door_do_not_hold_up_another(echo: int) -> None:
-    doors = Doors(Address("127.0.0.1", echo, 1), {("left", 1): False, ("right", 1): False})
+def test_many_refusals_at_one_endpoint_do_not_hold_up_another(echo: int) -> None:
+    endpoints = AgentEndpoints(Address("127.0.0.1", echo, 1), {("left", 1): False, ("right", 1): False})
     try:
-        left, right = ((each.host, each.agent_port) for each in map(doors.address, [("left", 1), ("right", 1)]))
+        left, right = ((each.host, each.agent_port) for each in map(endpoints.address, [("left", 1), ("right", 1)]))
         for _ in range(200):
             assert began(left, "\N{SNOWMAN}" * 300) == b""
         assert began(right, "(init T1 right 1)") == b"(init T1 right 1)"
-        assert doors.entered() == {("right", 1)}
+        assert endpoints.entered() == {("right", 1)}
     finally:
-        doors.close()
+        endpoints.close()

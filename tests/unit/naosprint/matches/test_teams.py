@@ -185,23 +185,23 @@ def test_an_agent_reaches_no_socket_process_or_file_outside(tmp_path: Path, monk
     """Not on the ways that Landlock does not see, either."""
     monkeypatch.chdir(tmp_path)  # the name of a socket is short
     (tmp_path / "team").mkdir()
-    (tmp_path / "door.file").write_text("")
+    (tmp_path / "endpoint.file").write_text("")
     with subprocess.Popen(["sleep", "600"]) as victim, socket.create_server(("127.0.0.1", 0)) as server:
         with contextlib.ExitStack() as stack:
-            for name in ("door", f"\0{tmp_path}", "door.datagrams"):
-                kind = socket.SOCK_DGRAM if name == "door.datagrams" else socket.SOCK_STREAM
+            for name in ("endpoint", f"\0{tmp_path}", "endpoint.datagrams"):
+                kind = socket.SOCK_DGRAM if name == "endpoint.datagrams" else socket.SOCK_STREAM
                 each = stack.enter_context(socket.socket(socket.AF_UNIX, kind))
                 each.bind(name)
                 if kind == socket.SOCK_STREAM:
                     each.listen()
-            words = [str(tmp_path / "door"), str(tmp_path), str(victim.pid), str(server.getsockname()[1])]
+            words = [str(tmp_path / "endpoint"), str(tmp_path), str(victim.pid), str(server.getsockname()[1])]
             agent, said = run_agent(tmp_path / "team", ATTACKS, arguments=words)
             enforced, ended = agent.enforced, victim.poll()
             agent.stop()
         victim.kill()
     assert (said, ended) == ("exit code 0", None)
     assert {"files", "TCP", "signals", "Unix sockets"} <= set(enforced)
-    assert (tmp_path / "door").stat().st_mode & 0o777
+    assert (tmp_path / "endpoint").stat().st_mode & 0o777
 
 
 @needs_all_limits

@@ -74,7 +74,7 @@ class AgentProcess:
         name: name with which it enters the game.
         number: its uniform number.
         players: number of players of its team.
-        server: address of its door to the server.
+        server: address of its endpoint to the server.
         limits: what it may use.
 
     Raises:

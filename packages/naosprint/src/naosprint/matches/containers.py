@@ -1,9 +1,10 @@
 """Agents in containers that reach nothing but the server of their game.
 
 A container of an agent has no network of its own: it is in that of a second container, its relay, which has no way out
-but a Unix socket of this machine, the agent's door. What the agent sends to its loopback goes through it to the server.
+but a Unix socket of this machine, the agent's endpoint. What the agent sends to its loopback goes through it to the
+server.
 
-    agent --TCP, loopback of the two--> relay --Unix socket--> door on this machine --TCP--> server
+    agent --TCP, loopback of the two--> relay --Unix socket--> endpoint on this machine --TCP--> server
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from naosim.launchers.docker import (
 )
 
 from naosprint.matches import relay
-from naosprint.matches.doors import SOCKET
+from naosprint.matches.endpoints import SOCKET
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,7 +64,7 @@ class ContainerAgents:
         self.api: Any = self._client.api
         remove_orphans(self.api)
 
-    def start(self, team: Team, name: str, number: int, players: int, door: Path, limits: Limits) -> AgentContainer:
+    def start(self, team: Team, name: str, number: int, players: int, endpoint: Path, limits: Limits) -> AgentContainer:
         """Start an agent.
 
         Args:
@@ -71,7 +72,7 @@ class ContainerAgents:
             name: name with which it enters the game.
             number: its uniform number.
             players: number of players of its team.
-            door: folder with the socket that leads it to the server.
+            endpoint: folder with the socket that leads it to the server.
             limits: what it may use.
 
         Raises:
@@ -80,7 +81,7 @@ class ContainerAgents:
         assert team.image is not None
         agent = AgentContainer(self.api, number)
         try:
-            self._create(agent.relay, self._image, RELAY_VARIABLE, relay_options(door))
+            self._create(agent.relay, self._image, RELAY_VARIABLE, relay_options(endpoint))
             self._await_relay(agent.relay)
             values = {"host": "127.0.0.1", "port": _PORT, "team": name, "number": number, "players": players}
             command = team.agent(**values)

@@ -18,7 +18,7 @@ from naospec.teams import MAX_HALF_S, MAX_PLAYERS
 
 from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
 from naosprint.matches.containers import AgentContainer, ContainerAgents
-from naosprint.matches.doors import Doors
+from naosprint.matches.endpoints import AgentEndpoints
 from naosprint.matches.log import GameLog, HalfRecorder, joined
 from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
 
@@ -51,7 +51,7 @@ class ServerFailedError(MatchError):
 
 
 class TeamFailedError(MatchError):
-    """A team without a player on the field, with one past the doors of its agents, or whose containers do not start."""
+    """A team without a player on the field, with one that bypassed its endpoint, or whose containers do not start."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def play_game(
 
     Raises:
         ServerFailedError: a server did not start or ended.
-        TeamFailedError: a team did not enter the field, or one past the doors of its agents did.
+        TeamFailedError: a team did not enter the field, or one past the endpoints of its agents did.
     """
     halves: list[HalfRecorder] = []
     notes = []
@@ -183,9 +183,9 @@ class _Half:
         self._agents: dict[tuple[str, int], AgentProcess | AgentContainer] = {}
         self._containers: ContainerAgents | None = None
         """Where the agents of teams with an image come from."""
-        self._doors: Doors | None = None
+        self._endpoints: AgentEndpoints | None = None
         self._entered: set[Player] = set()
-        """Players whose agents have come through their doors."""
+        """Players whose agents have come through their endpoints."""
         self._lost: list[dict[str, Any]] = []
         self._cpu_cycles, self._cpu_at = 0, 0.0
 
@@ -201,8 +201,8 @@ class _Half:
             agent.stop()
         if self._containers is not None:
             self._containers.close()
-        if self._doors is not None:
-            self._doors.close()
+        if self._endpoints is not None:
+            self._endpoints.close()
 
     def play(self, on_moment: Callable[[Moment], None]) -> HalfRecorder:
         """Start everything, play until the referee ends the half, and return its frames."""
@@ -212,13 +212,13 @@ class _Half:
         roster = [(team, number) for team in range(2) for number in range(1, settings.players + 1)]
         players = [(self._names[team], number) for team, number in roster]
         in_image = [self._teams[team].image is not None for team, _ in roster]
-        self._doors = doors = Doors(self._server.address, dict(zip(players, in_image, strict=True)))
-        first = self._enter(monitor, doors)
+        self._endpoints = endpoints = AgentEndpoints(self._server.address, dict(zip(players, in_image, strict=True)))
+        first = self._enter(monitor, endpoints)
         recorder = HalfRecorder(roster, players, self._left)
         kick_off_at, kicked_off = first.time_s + _SETTLE_S, False
         deadline, looked_at, frame = time.monotonic() + settings.wall_s, 0.0, first
         while frame.mode != _GAME_OVER:
-            frame = self._next(monitor, doors, _QUIET_S + 5.0 * len(self._agents))
+            frame = self._next(monitor, endpoints, _QUIET_S + 5.0 * len(self._agents))
             if not kicked_off and frame.time_s >= kick_off_at:
                 monitor.send("(kickOff Left)")
                 kicked_off = True
@@ -234,49 +234,49 @@ class _Half:
         self._look(frame)
         return recorder
 
-    def _next(self, monitor: GameMonitor, doors: Doors, wait_s: float) -> Frame:
-        """Return the next frame; raise TeamFailedError if a player on the field has not come through its door."""
+    def _next(self, monitor: GameMonitor, endpoints: AgentEndpoints, wait_s: float) -> Frame:
+        """Return the next frame; raise TeamFailedError if a player on the field has not come through its endpoint."""
         frame = monitor.next(time.monotonic() + wait_s)
         if frame.bodies.keys() - self._entered:
-            self._entered = doors.entered()
+            self._entered = endpoints.entered()
         for side, number in sorted(frame.bodies.keys() - self._entered):
             team = f"team {'AB'[self._names.index(side)]}" if side in self._names else f"team {side!r} of no agent"
             raise TeamFailedError(
-                f"{team}: player {number} entered the field past the doors of the agents; an agent connects to the "
+                f"{team}: player {number} entered the field past the endpoints of the agents; an agent connects to the "
                 "port that its command gets, once"
             )
         return frame
 
-    def _enter(self, monitor: GameMonitor, doors: Doors) -> Frame:
+    def _enter(self, monitor: GameMonitor, endpoints: AgentEndpoints) -> Frame:
         """Start the agents, the left team's first; return the frame in which all that come are on the field."""
-        frame = self._next(monitor, doors, self._settings.start_s)
+        frame = self._next(monitor, endpoints, self._settings.start_s)
         for team in self._order:
             name = self._names[team]
             for number in range(1, self._settings.players + 1):
-                self._agents[name, number] = self._start(team, number, doors)
+                self._agents[name, number] = self._start(team, number, endpoints)
             last = team == self._order[1]
             deadline = time.monotonic() + self._settings.start_s
             while True:
-                frame = self._next(monitor, doors, deadline - time.monotonic() + _QUIET_S)
+                frame = self._next(monitor, endpoints, deadline - time.monotonic() + _QUIET_S)
                 here = {player for player in frame.bodies if player[0] == name}
                 coming = {player for player, agent in self._agents.items() if player[0] == name and agent.alive()}
                 late = time.monotonic() > deadline
                 if not here and (late or not coming):
-                    words = self._agents[name, 1].describe() + doors.refused((name, 1))
+                    words = self._agents[name, 1].describe() + endpoints.refused((name, 1))
                     raise TeamFailedError(f"team {'AB'[team]}: no player entered the field; player 1: {words}")
                 if here and (late or not last or coming <= set(frame.bodies)):
                     break
         return frame
 
-    def _start(self, index: int, number: int, doors: Doors) -> AgentProcess | AgentContainer:
+    def _start(self, index: int, number: int, endpoints: AgentEndpoints) -> AgentProcess | AgentContainer:
         """Start an agent of a team; raise TeamFailedError if its containers cannot be started."""
         team, name = self._teams[index], self._names[index]
         players, limits = self._settings.players, self._settings.limits
         if team.image is None:
-            return AgentProcess(team, name, number, players, doors.address((name, number)), limits)
+            return AgentProcess(team, name, number, players, endpoints.address((name, number)), limits)
         try:
             self._containers = self._containers or ContainerAgents()
-            return self._containers.start(team, name, number, players, doors.folder((name, number)), limits)
+            return self._containers.start(team, name, number, players, endpoints.folder((name, number)), limits)
         except LauncherUnavailableError as error:
             raise ServerFailedError(f"team {'AB'[index]}: {error}") from error
         except OSError as error:

@@ -4,7 +4,7 @@ A file of its own that needs nothing but the standard library: `python -I -S rel
 text in a container. An address is `unix:PATH` or `tcp:HOST:PORT`; port 0 is a free one. Prints `listening` and the port
 of TCP.
 
-With `TARGET LISTEN TEAM NUMBER LISTEN TEAM NUMBER ...` each address is the door of one player to a rcssservermj: it
+With `TARGET LISTEN TEAM NUMBER LISTEN TEAM NUMBER ...` each address is the endpoint of one player to a rcssservermj: it
 passes exactly one connection, whose first message enters the field as this player. Each line then begins with the
 player: `left 1 listening 40123`, `left 1 refused '(init T1 right 1)'` (the first time), `left 1 entered`.
 """
@@ -83,7 +83,7 @@ def _read(client: socket.socket, count: int) -> bytes:
     return data
 
 
-def _door(listener: socket.socket, target: str, team: str, number: str) -> None:
+def _endpoint(listener: socket.socket, target: str, team: str, number: str) -> None:
     """Pass the one connection that enters the field as a player; close those before it, and say what the first was."""
     player, said = f"{team} {number}", False
     init = re.compile(rf"\s*\(\s*init\s+([\w-]+)\s+{re.escape(team)}\s+{number}\s*\)\s*", re.ASCII)
@@ -107,9 +107,9 @@ def main() -> None:
     """Listen and pass on."""
     target, *addresses = sys.argv[1:]
     if len(addresses) > 1:
-        doors = zip(addresses[0::3], addresses[1::3], addresses[2::3], strict=True)
-        listeners = [(_listening(each, f"{team} {number}"), target, team, number) for each, team, number in doors]
-        threads = [threading.Thread(target=_door, args=each) for each in listeners]
+        endpoints = zip(addresses[0::3], addresses[1::3], addresses[2::3], strict=True)
+        listeners = [(_listening(each, f"{team} {number}"), target, team, number) for each, team, number in endpoints]
+        threads = [threading.Thread(target=_endpoint, args=each) for each in listeners]
         for thread in threads:
             thread.start()
         return

@@ -437,7 +437,7 @@ class Disturbances:
             self._acts[rows, 0] = self._delay[rows]
 
     def hold(self, rows: IntArray, targets_rad: FloatArray) -> None:
-        """Hold (k, J) or (J,) targets until the first commands of new episodes of the robots ``rows`` act."""
+        """Set the (k, J) or (J,) targets that act until the first delayed commands of new episodes of ``rows`` do."""
         if len(self._waiting):
             self._waiting[:, rows] = targets_rad
 

@@ -1,4 +1,4 @@
-"""Doors of a game: each agent reaches the server through one of its own, which passes its player and nobody else."""
+"""Endpoints of a game: each agent connects to the server through one of its own, which accepts its player only."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from naosprint.matches.stream import Player
 
 SOCKET = "server"
-"""Name of a door that is a Unix socket, in a folder of its own."""
+"""Name of an endpoint that is a Unix socket, in a folder of its own."""
 _GUARD = Path(naosim.launchers.__file__).with_name("guard.py")
 _HOST = "127.0.0.1"
 
 
-class Doors:
-    """The doors of all players of a half, in one process.
+class AgentEndpoints:
+    """The endpoints of all players of a half, in one process.
 
     Args:
         server: address of the server.
-        players: of each player by the server's names whether its door is a Unix socket, for a container, in place of a
-            port.
+        players: of each player by the server's names whether its endpoint is a Unix socket, for a container, instead of
+            a port.
 
     Raises:
         OSError: if they do not open.
