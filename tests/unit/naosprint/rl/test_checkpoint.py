@@ -84,27 +84,27 @@ def test_arrays_come_back_as_they_were(tmp_path: Path) -> None:
         "flags": np.array([True, False]),
         "none": np.zeros((0, 4), dtype=np.int64),
     }
-    state = TrainingState(0, 7, 1, 2, 0.5, ("o",), ("a",), arrays, {}, None)
+    state = TrainingState(0, 7, 1, 2, 0.5, ("o",), ("a",), arrays, {}, {})
     directory = save_checkpoint(tmp_path / "c", TrainingSpec(), state)
     manifest = read_manifest(directory)
     found = read_file(directory, manifest, POLICY)
     require_like(directory, found, arrays)
     assert all(np.array_equal(found[name], arrays[name]) for name in arrays)
-    assert ENVIRONMENT not in manifest.files
+    assert read_file(directory, manifest, ENVIRONMENT) == {}
 
 
 def test_a_failed_save_leaves_nothing(tmp_path: Path) -> None:
     """An error leaves neither a directory nor a partial one."""
     hostile = {"objects": np.array([object()])}
     with pytest.raises(ValueError, match=r"pickle|Object"):
-        save_checkpoint(tmp_path / "c", TrainingSpec(), TrainingState(0, 0, 0, 0, 0.0, (), (), hostile, {}, None))
+        save_checkpoint(tmp_path / "c", TrainingSpec(), TrainingState(0, 0, 0, 0, 0.0, (), (), hostile, {}, {}))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_saving_again_replaces(tmp_path: Path) -> None:
     """A later checkpoint of the same name replaces the earlier one."""
     for value in (1.0, 2.0):
-        state = TrainingState(0, 0, 0, 0, 0.0, (), (), {"x": np.array([value])}, {}, None)
+        state = TrainingState(0, 0, 0, 0, 0.0, (), (), {"x": np.array([value])}, {}, {})
         save_checkpoint(tmp_path / "c", TrainingSpec(), state)
     assert read_file(tmp_path / "c", read_manifest(tmp_path / "c"), POLICY)["x"][0] == 2.0
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from naosim import robots
+from naosim.mujoco.embedded import MujocoSimulator
 from naosim.robots.actuation import Actuation
 from naospec import TrainingSpec
 from naosprint import CheckpointError, train
@@ -324,6 +325,31 @@ def test_a_snapshot_by_another_version_of_the_simulator_begins_new_episodes(
     again = train(spec, workdir=theirs.parent, reporter=recorder, resume=theirs)
     assert (again.status, again.steps) == ("finished", 512)
     assert ("warning", "the checkpoint has no state for this simulator; new episodes begin") in recorder.lines
+
+
+def test_without_snapshots_curricula_and_numbers_of_episodes_go_on(
+    make_spec: Make, tmp_path: Path, recorder: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A server cannot return to its state: new episodes begin, which are those after the checkpoint's."""
+    monkeypatch.setattr(MujocoSimulator, "snapshot", lambda _: None)
+    spec = make_spec(**{"task.name": "velocity", "robot.name": "t1"}, command_growth=0.001)
+    end = train(spec, workdir=tmp_path / "first", reporter=recorder).checkpoint
+    manifest = read_manifest(end)
+    files = {name: read_file(end, manifest, name) for name in manifest.files}
+    assert "environment.simulator" not in files[ENVIRONMENT]
+    files[ENVIRONMENT]["environment.task.grown"][:] = 0.75
+    files[ENVIRONMENT]["episode"] += 1000
+    fields = {name: getattr(manifest, name) for name in TrainingState.__slots__ if hasattr(manifest, name)}
+    state = TrainingState(**fields, policy=files[POLICY], learner=files[LEARNER], environment=files[ENVIRONMENT])
+    grown = save_checkpoint(tmp_path / "second" / end.name, spec, state)
+    recorder.rows.clear()
+    more = make_spec(**{"task.name": "velocity", "robot.name": "t1"}, command_growth=0.001, total_steps=1024)
+    last = train(more, workdir=grown.parent, reporter=recorder, resume=grown).checkpoint
+    assert 0.7 < recorder.rows[0]["task_growth"] < 0.8
+    assert recorder.rows[-1]["episodes"] >= manifest.episodes > 0
+    found = read_file(last, read_manifest(last), ENVIRONMENT)
+    assert (found["episode"] > files[ENVIRONMENT]["episode"]).all()
+    assert (found["environment.steps"] < 64 + 1).all()
 
 
 def test_a_checkpoint_from_before_stores_were_saved_is_resumed(

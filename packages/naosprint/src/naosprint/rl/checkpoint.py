@@ -3,7 +3,7 @@
     checkpoint.json     format, specification, counters, versions, and SHA-256 and size of every file
     policy.npz          weights and observation statistics: all that acting needs
     learner.npz         optimiser, generators
-    environment.npz     simulator, episodes, statistics; missing if the simulator has no snapshots
+    environment.npz     episodes, curricula, means; the simulator, if it has snapshots
     process-1.npz       the same, and generators, of the second process of a training in several; and so on
 
 A directory is written under another name and renamed when it is complete, so one that exists is complete.
@@ -123,7 +123,7 @@ class TrainingState:
     actions: tuple[str, ...]
     policy: Mapping[str, AnyArray]
     learner: Mapping[str, AnyArray]
-    environment: Mapping[str, AnyArray] | None
+    environment: Mapping[str, AnyArray]
     others: Sequence[Mapping[str, AnyArray]] = ()
     critic: tuple[str, ...] = ()
 
@@ -145,9 +145,7 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
     partial = partial_of(directory)
     partial.mkdir()
     try:
-        contents = {POLICY: state.policy, LEARNER: state.learner}
-        if state.environment is not None:
-            contents[ENVIRONMENT] = state.environment
+        contents = {POLICY: state.policy, LEARNER: state.learner, ENVIRONMENT: state.environment}
         contents |= {process_file(number): arrays for number, arrays in enumerate(state.others, 1)}
         files = {name: _write_arrays(partial / name, arrays) for name, arrays in contents.items()}
         manifest = Manifest(

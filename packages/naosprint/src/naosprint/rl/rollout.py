@@ -177,13 +177,19 @@ class TrainingEnvironment:
         kept = {name: value for name, value in self.state().items() if name.startswith(added)}
         return {**kept, **state}
 
-    def load_state(self, state: Mapping[str, AnyArray]) -> None:
-        """Restore what :meth:`state` returned."""
+    def load_state(self, state: Mapping[str, AnyArray], *, new_episodes: bool = False) -> None:
+        """Restore what :meth:`state` returned.
+
+        Args:
+            state: arrays by name.
+            new_episodes: whether to restore only what outlives episodes, so that the next reset begins those after
+                the ones of the state; for simulators that cannot return to it.
+        """
 
         def part(name: str) -> dict[str, AnyArray]:
             return {key[len(name) + 1 :]: value for key, value in state.items() if key.startswith(f"{name}.")}
 
-        self.environment.load_state(part("environment"))
+        self.environment.load_state(part("environment"), new_episodes=new_episodes)
         self.window.load_state(part("window"))
         self._episode = np.array(state["episode"], dtype=np.int64)
         self._rewards = np.array(state["rewards"], dtype=np.float64)

@@ -307,17 +307,19 @@ class _Session:
         learner = dict(self.learner.upgraded_state(learner))
         require_like(directory / LEARNER, learner, expected.learner)
         self.learner.load_policy_state(policy)
-        if environment is not None and expected.environment is not None:
+        continues = environment is not None and _SNAPSHOT in environment and _SNAPSHOT in expected.environment
+        if environment is not None:
             theirs, ours = (np.shape(arrays.get(_SNAPSHOT, ())) for arrays in (environment, expected.environment))
             if theirs != ours and manifest.versions.get("naosim") != installed_versions()["naosim"]:
-                environment = None  # a snapshot by another version of the simulator
-        continues = environment is not None and expected.environment is not None
-        if environment is not None and expected.environment is not None:
-            require_like(directory / file, environment, expected.environment)
-            self.environment.load_state(environment)
-        else:
-            # the simulator cannot return to that state, or the number of processes is another one: new episodes
+                continues = False  # a snapshot by another version of the simulator
+            compared = (environment, expected.environment)
+            require_like(directory / file, *(compared if continues else map(_without_snapshot, compared)))
+            self.environment.load_state(environment, new_episodes=not continues)
+        if not continues:
+            # the simulator cannot return to that state, or the number of processes is another one
             self._reporter.log("warning", "the checkpoint has no state for this simulator; new episodes begin")
+            if environment is not None:
+                self.learner.begin()  # those after the checkpoint's
         self.learner.load_state(learner, new_episodes=not continues)
         self.learner.steps = manifest.steps - self.first_step
         self.learner.updates = manifest.updates
@@ -413,7 +415,6 @@ class _Session:
         return ", ".join(words) or "no episode has ended yet"
 
     def _state(self) -> TrainingState:
-        environment = self.environment.state()
         return TrainingState(
             stage=self.segment.stage,
             steps=self.steps,
@@ -424,7 +425,7 @@ class _Session:
             actions=self.environment.environment.actuation.names,
             policy=self.learner.policy_state(),
             learner=self.learner.state(),
-            environment=environment if "environment.simulator" in environment else None,
+            environment=self.environment.state(),
             critic=self.environment.environment.observer.critic_names,
         )
 
@@ -442,7 +443,7 @@ class _Session:
 
     def _own(self, state: TrainingState) -> dict[str, AnyArray]:
         """Return what the state of one of several processes has of its own."""
-        return {**(state.environment or {}), **{name: state.learner[name] for name in self.learner.own_state}}
+        return {**state.environment, **{name: state.learner[name] for name in self.learner.own_state}}
 
     def _window_means(self) -> dict[str, float]:
         """Return the means over the latest episodes of all processes, and count their episodes."""
@@ -488,6 +489,10 @@ class _Session:
                 self.progress.left_out.add(name)
                 message = f"metric {name} is {value!r} at {self.steps:,} steps: such values are left out from here on"
                 self._reporter.log("warning", message)
+
+
+def _without_snapshot(arrays: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    return {name: array for name, array in arrays.items() if name != _SNAPSHOT}
 
 
 def _name(steps: int) -> str:

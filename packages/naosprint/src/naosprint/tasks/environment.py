@@ -417,13 +417,21 @@ class Environment:
             state[PERCEIVED] = self.world.perceptors["joint_angles"].copy()
         return state
 
-    def load_state(self, state: Mapping[str, AnyArray]) -> None:
-        """Restore what :meth:`state` returned; the starts must have been loaded before."""
+    def load_state(self, state: Mapping[str, AnyArray], *, new_episodes: bool = False) -> None:
+        """Restore what :meth:`state` returned; the starts must have been loaded before.
+
+        Args:
+            state: arrays by name.
+            new_episodes: whether to restore only what outlives episodes, such as how far a curriculum has grown; all
+                robots must be restarted then.
+        """
         prefix = "observer."
         self.observer.load_state({key[len(prefix) :]: state[key] for key in state if key.startswith(prefix)})
         for name, array in self._arrays.items():
             array[:] = state[name].view(array.dtype) if name.startswith(STORES) else state[name]
         self.disturbances.restore({name: state[f"disturbances.{name}"] for name in self.disturbances.arrays})
+        if new_episodes:
+            return
         self.world.steps[:] = state["steps"]
         self.world.actions[:] = state["actions"]
         self.world.previous_actions[:] = state["previous_actions"]
