@@ -286,6 +286,12 @@ def test_an_evaluation_never_begins_as_its_training_did(checkpoint: Path) -> Non
     assert not np.isclose(evaluate(checkpoint, spec).trajectories.height[:, 0], first, atol=1e-7).any()
 
 
+def test_a_task_that_has_not_grown_is_not_evaluated(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Sprint1, "growth", 0.1)
+    with pytest.raises(ValueError, match=r"task sprint1: growth is 0\.1 in an evaluation; override for_evaluation"):
+        evaluate(checkpoint, EvaluationSpec(episodes=2))
+
+
 def test_noisy_policy_differs_from_the_deterministic(checkpoint: Path) -> None:
     """Drawn actions are drawn from the seed."""
     spec = EvaluationSpec(episodes=4, task="sprint2", deterministic=False)

@@ -322,6 +322,32 @@ def test_disturbances_grow_with_success_and_shrink_with_failures(engine: Engine)
     assert np.abs(run(growing, 12) - run(ideal, 12)).max() > 0.01
 
 
+def test_what_says_nothing_about_a_robot_changes_no_strength() -> None:
+    """An episode whose server was lost; and one that is truncated to train the start must only not fail."""
+    environment = environment_of(engine="fast", **GROWING)
+    after_episodes(environment, 2, failed=False)
+    environment.lost[0] = True
+    environment.short[1] = True
+    environment.task.succeeded = lambda rows: rows == 2  # type: ignore[method-assign]
+    after_episodes(environment, 1, failed=False)
+    assert environment.disturbances._strength.tolist() == [0.5, 0.75, 0.75, 0.25]
+
+
+def test_an_episode_of_a_seed_begins_without_strength_and_in_the_nominal_world() -> None:
+    settings = {**GROWING, "push_mps": 0.0, "extra_delay_max": 0}
+    environment = environment_of(engine="fast", **settings)
+    rows, found = np.arange(environment.n), []
+    for _ in range(2):
+        environment.restart(rows, np.zeros_like(rows), episodes=rows + 7)
+        assert environment.disturbances.strength == 0.0
+        masses = numbers(environment.simulator.batch, "body_mass")  # type: ignore[attr-defined]
+        assert (environment.disturbances._world[:, 0] == 1.0).all() and np.ptp(masses, axis=0).max() == 0.0
+        assert (environment.disturbances._stiffness == 1.0).all()
+        after_episodes(environment, 3, failed=False)
+        found.append(environment.disturbances._world[:, 0].copy())
+    assert (found[0] < 1.0).all() and found[0].tolist() == found[1].tolist()
+
+
 def test_worlds_are_drawn_once_for_a_robot_or_for_every_episode() -> None:
     settings = {"mass_variation": 0.3, "friction_min": 0.4, "friction_max": 0.8, "undisturbed_fraction": 0.5}
     for by_episode in (False, True):

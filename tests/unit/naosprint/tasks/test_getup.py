@@ -178,6 +178,16 @@ def test_a_lying_robot_never_stands() -> None:
 
 
 @BOTH
+def test_disturbances_grow_with_robots_that_stand_in_time(robot: Robot) -> None:
+    environment = environment_of(3, robot, sensor_noise=1.0, disturbance_growth=0.25)
+    for stood, strength in ((0, 0.0), (20, 0.25), (20, 0.5), (200, 0.25)):
+        environment.world.steps[:] = 250
+        environment.task.arrays["stood_at"][:] = stood
+        environment.restart(np.arange(3), np.zeros(3, dtype=np.int64))
+        assert environment.disturbances.strength == strength
+
+
+@BOTH
 def test_a_resumed_environment_continues_bit_for_bit(robot: Robot) -> None:
     environment = environment_of(4, robot)
     rng = np.random.default_rng(0)

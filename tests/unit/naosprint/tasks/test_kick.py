@@ -196,6 +196,7 @@ def test_a_warm_start_takes_the_spreads_of_new_observations() -> None:
     layers = {f"mlp_extractor.{net}_net.0.weight": np.ones((2, 2), np.float32) for net in ("policy", "value")}
     action = {"action_net.weight": np.ones((1, 2), np.float32), "action_net.bias": np.zeros(1, np.float32)}
     statistics = {"observation_mean": np.array([1.0, 2.0]), "observation_variance": np.array([3.0, 4.0])}
+    statistics["observation_counts"] = np.array([5.0, 5.0])
     policy = {**layers, **action, **statistics, "log_std": np.zeros(1, np.float32)}
     new = (names, ("b", "ball_left", "other"))
     found = adapt(policy, observations=new, actions=(joints, joints), rest=np.zeros(1), spreads=spreads)
@@ -398,7 +399,8 @@ def episodes_of(*kicks: tuple[float, float, float, bool]) -> Episodes:
         way = np.linspace(0.0, far, rows)
         x, y = way * np.cos(1.0 + np.radians(angle)), way * np.sin(1.0 + np.radians(angle))
         touched, ones = (np.arange(rows) >= 20).astype(float), np.ones(rows)
-        traces.append(np.column_stack([x, y, touched, ones, asked * ones, ones, angle * ones]))
+        rest = np.zeros((rows, 2))
+        traces.append(np.column_stack([x, y, touched, ones, asked * ones, ones, angle * ones, rest]))
     lengths = [80 if fell else rows for *_, fell in kicks]
     blank: Any = [np.zeros(length) for length in lengths]
     fallen = np.array([fell for *_, fell in kicks])
@@ -424,6 +426,26 @@ def test_results_follow_from_the_balls_ways() -> None:
     assert found["goal_rate"] == pytest.approx(1 / 3)
     corridors = tables[0].columns["Aligned"]
     assert [result.value for result in corridors] == [0.75, 0.5, 0.5]
+
+
+def test_a_ball_that_still_rolls_as_the_robot_falls_is_rolled_to_its_stop() -> None:
+    kicks = episodes_of((0.0, 6.0, np.inf, False), (0.0, 6.0, np.inf, True))
+    kicks.trace[1][:, 7:9] = 2.0 * np.array([np.cos(1.0), np.sin(1.0)])
+    fell = 6.0 * 79 / (len(kicks.trace[0]) - 1)
+    further, way = rolling.stop(np.array([2.0]), np.array([1.0]))
+    whole = np.hypot(fell * np.cos(1.0) + further * np.cos(way), fell * np.sin(1.0) + further * np.sin(way))
+    results, _ = task_of(environment_of(1)).summarize(kicks, Statistics(0.95, 100, 0))
+    found = {result.metric.name: result for result in results}
+    assert found["power_distance_m"].high == pytest.approx(whole.item()) and whole > fell + 1.0
+    assert found["power_distance_m"].low == pytest.approx(6.0)
+
+
+def test_the_trace_has_the_velocity_with_which_a_ball_rolls() -> None:
+    environment = environment_of(1)
+    task, row = task_of(environment), np.array([0])
+    place, spin = task.world.bodies[BALL].position.copy(), np.array([[-1.0 / RADIUS, 2.0 / RADIUS, 0.0]])
+    environment.simulator.place_ball(row, place + np.array([3.0, 0.0, 0.0]), np.array([[2.0, 1.0, 0.0]]), spin)
+    np.testing.assert_allclose(task.trace_row(row)[0, 7:9], [2.0, 1.0], atol=0.01)
 
 
 def test_kicks_that_need_not_go_far_have_no_rate_of_far_ones() -> None:

@@ -389,3 +389,15 @@ def test_a_block_has_one_entry_for_each_of_its_names(what: str) -> None:
 def test_a_text_is_not_taken_for_the_names_of_its_letters() -> None:
     with pytest.raises(TypeError, match=r"observations: yaw: names is a text; a tuple is needed, as \('yaw',\)"):
         ObservationBlock("yaw", lambda rows: np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize("name", ["memory", "observations", "features"])
+def test_arrays_of_blocks_that_would_replace_each_other_in_a_checkpoint_are_refused(name: str) -> None:
+    shared = np.zeros((3, 1))
+    blocks = [ObservationBlock((each,), lambda _: shared, arrays={name: array}) for each, array in
+              (("slow", shared), ("quick", shared if name == "memory" else np.zeros((3, 1))))]  # fmt: skip
+    if name == "memory":
+        assert Observer(3, blocks).state().keys() == {"observations", "features", "memory"}
+        blocks[1] = ObservationBlock(("quick",), lambda _: shared, arrays={name: np.zeros((3, 1))})
+    with pytest.raises(ValueError, match=f"another array is named '{name}' in checkpoints"):
+        Observer(3, blocks)

@@ -21,6 +21,7 @@ from naosprint.tasks.velocity import (
     TRACKING_SCALE,
     Velocity,
     VelocitySettings,
+    _applied,
 )
 from pydantic import ValidationError
 
@@ -347,10 +348,14 @@ def test_a_mirrored_robot_with_a_mirrored_command_is_seen_and_rewarded_alike(rob
 
 
 def episodes_of(velocity: np.ndarray, command: np.ndarray, *, fallen: list[bool], flight: np.ndarray) -> Episodes:
-    """Return episodes with (k, T, 3) velocities and commands, an offset of 0.1 m, and (k, T) flight."""
+    """Return episodes with (k, T, 3) velocities and commands, an offset of 0.1 m, and (k, T) flight.
+
+    A trace has the command that follows a step.
+    """
     count, samples = velocity.shape[:2]
     offset = np.full((count, samples, 1), 0.1)
-    trace = np.concatenate([velocity, command, offset, flight[..., None]], axis=2)
+    following = np.concatenate([command[:, 1:], command[:, -1:]], axis=1)
+    trace = np.concatenate([velocity, following, offset, flight[..., None]], axis=2)
     zeros = [np.zeros(samples)] * count
     return Episodes(
         x=zeros,
@@ -394,6 +399,21 @@ def test_an_evaluation_reports_errors_drift_falls_and_flight() -> None:
     assert found["flight_share"].value == pytest.approx(0.5 / 200)
     assert found["flight_rate"].value == 0.5
     assert set(Velocity.presentation.headline) <= found.keys()
+
+
+def test_errors_are_from_the_command_that_the_robot_had() -> None:
+    """The one that is drawn after a step says nothing about its velocity."""
+    environment = environment_of(2, command_steps=5)
+    task, rows, had = task_of(environment), np.arange(2), []
+    traces = [task.trace_row(rows)]
+    for _ in range(40):
+        had.append(task.command.copy())
+        environment.step(np.zeros((2, environment.actuation.n_actions)))
+        traces.append(task.trace_row(rows))
+    assert len(np.unique(np.array(had)[:, 0], axis=0)) > 3
+    for row in range(2):
+        trace = np.array(traces)[:, row]
+        np.testing.assert_array_equal(_applied(trace)[1:, 3:6], np.array(had)[:, row])
 
 
 def test_an_evaluation_reports_settled_errors_and_stops() -> None:

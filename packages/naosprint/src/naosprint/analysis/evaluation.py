@@ -159,6 +159,7 @@ def evaluate(
     environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=seed)
     try:
         _require_fit(environment, manifest.observations)
+        _require_grown(environment.task)
         starts = environment.task.starts(spec.episodes, seed, setting.task.start_noise_deg)
         environment.load_starts(starts)
         world = environment.world
@@ -218,6 +219,15 @@ def _require_fit(environment: Environment, observations: tuple[str, ...]) -> Non
     differing = sorted(set(observations).symmetric_difference(environment.observer.names))
     names = ", ".join(differing[:8]) or "the same in another order"
     raise ValueError(f"task: the policy was trained with other observations: {names}")
+
+
+def _require_grown(task: Task) -> None:
+    """Refuse to evaluate a task at the beginning of a curriculum of its own: results would be of an easier one."""
+    if task.growth is not None and task.growth < 1.0:
+        raise ValueError(
+            f"task {task.name}: growth is {task.growth:g} in an evaluation; override for_evaluation of its settings, "
+            "so that an evaluation asks for all of it (growth: None)"
+        )
 
 
 def _summarized(

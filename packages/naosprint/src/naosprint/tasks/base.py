@@ -235,6 +235,13 @@ class Task(Plugin, Generic[Settings]):
         """How far what the task asks of the robots has grown, from 0 to 1; None if it does not grow."""
         return None
 
+    def succeeded(self, rows: IntArray) -> BoolArray:
+        """Return in which of (k,) robots the episode that has just ended did what the task asks for.
+
+        Disturbances grow with it (``disturbance_growth``). By default every episode that did not fail did.
+        """
+        return np.ones(len(rows), dtype=np.bool_)
+
     def measure(self, rows: IntArray) -> FloatArray:
         """Return the (k, M) live :attr:`metrics` of the episodes of the robots ``rows``, which have just ended."""
         return np.zeros((len(rows), 0))

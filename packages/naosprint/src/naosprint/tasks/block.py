@@ -383,6 +383,10 @@ class Block(BallTask[BlockSettings]):
 
     # results
 
+    def succeeded(self, rows: IntArray) -> BoolArray:
+        """Return which robots have saved the shot."""
+        return self._saved[rows] > 0
+
     def measure(self, rows: IntArray) -> FloatArray:
         """Return save, goal, touch, and fall."""
         return np.stack([each[rows] for each in (self._saved, self._conceded, self._touched, self._fallen)], axis=1)

@@ -102,7 +102,8 @@ class DisturbanceSettings(TaskSettings):
         gt=0.0,
         le=3.0,
         title="Lowest friction",
-        description="Lower end of the factor of the friction between robot and ground, drawn for each robot.",
+        description="Lower end of the factor of the friction of the robot with the ground, the ball and itself, drawn "
+        "for each robot.",
         json_schema_extra={"needs": Ability.FRICTION, "off": 1.0},
     )
     friction_max: float = Field(
@@ -185,8 +186,8 @@ class DisturbanceSettings(TaskSettings):
         ge=0.0,
         le=1.0,
         title="Growth of disturbances",
-        description="A robot's disturbances begin without strength; every episode that does not fail adds this "
-        "fraction of their full strength, and every one that fails takes it away. 0: full strength from the start. The "
+        description="A robot's disturbances begin without strength; every episode that succeeds adds this "
+        "fraction of their full strength, and every other one takes it away. 0: full strength from the start. The "
         "extra delay's lower end and gravity do not grow.",
         json_schema_extra={"training_only": True, "with": [*_WORLD, *_REST]},
     )
@@ -342,21 +343,15 @@ class Disturbances:
             self._draw_stiffness(rows, rng)
             self._simulator.vary([self._variation(row) for row in rows.tolist()], rng, rows)
 
-    def draw_by_episode(self, rows: IntArray, episodes: IntArray) -> None:
-        """Give robots the random numbers of these episodes, whichever robot runs them."""
-        settings = self._settings
+    def draw_by_episode(self, rows: IntArray) -> None:
+        """Give robots the random numbers of the episodes in their streams, as the first after the beginning."""
         self._count[rows] = 0
         self._episode[rows] = 0
+        self._strength[rows] = 0.0 if self._grows else 1.0
+        self._drawn_at[rows] = np.stack([self._episode[rows], self._strength[rows]], axis=1)
         self._draw_disturbed(rows)
         if self._varies:
-            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
-                rng = np.random.default_rng([_STREAM, self._seed, episode])
-                friction = float(rng.uniform(settings.friction_min, settings.friction_max))
-                gravity = float(rng.uniform(settings.gravity_min, 1.0))
-                self._world[row, 0] = friction if self._kinds["friction"][row] else 1.0
-                self._world[row, 1] = gravity if self._disturbed[row] else 1.0
-                self._draw_stiffness(np.array([row]), rng)
-                self._simulator.vary([self._variation(row)], rng, np.array([row]))
+            self._draw_worlds(rows, first=True)
 
     def _draw_stiffness(self, rows: IntArray, rng: np.random.Generator) -> None:
         """Draw how soft the contacts of the robots ``rows`` are: as often below as above the middle factor."""
@@ -392,8 +387,8 @@ class Disturbances:
 
         Args:
             rows: (k,) robots whose next episodes begin.
-            ran: (k,) whether they have run an episode.
-            failed: (k,) whether it failed.
+            ran: (k,) whether they have run an episode that counts.
+            failed: (k,) whether it failed, or did not do what the task asks for.
         """
         if not self._redraws:
             return
@@ -401,18 +396,21 @@ class Disturbances:
         change = np.where(ran, np.where(failed, -growth, growth), 0.0)
         self._strength[rows] = np.clip(self._strength[rows] + change, 0.0, 1.0)
         self._drawn_at[rows] = np.stack([self._episode[rows], self._strength[rows]], axis=1)
-        self._draw_worlds(rows)
+        if self._varies:
+            self._draw_worlds(rows[self._disturbed[rows]])
 
-    def _draw_worlds(self, rows: IntArray) -> None:
-        """Draw bodies and ground of the robots ``rows`` for their present episodes."""
-        if not self._varies:
-            return
+    def _draw_worlds(self, rows: IntArray, *, first: bool = False) -> None:
+        """Draw bodies and ground of the robots ``rows`` for their present episodes, or for the first of a seed."""
         settings = self._settings
-        for row in rows[self._disturbed[rows]].tolist():
+        for row in rows.tolist():
             episode, strength = self._drawn_at[row].tolist()
-            rng = np.random.default_rng([_STREAM, self._seed, int(self._streams[row]), int(episode)])
+            number = [] if first else [int(episode)]
+            rng = np.random.default_rng([_STREAM, self._seed, int(self._streams[row]), *number])
             friction = float(rng.uniform(settings.friction_min, settings.friction_max))
             self._world[row, 0] = 1.0 + strength * (friction - 1.0) * self._kinds["friction"][row]
+            if first:
+                gravity = float(rng.uniform(settings.gravity_min, 1.0))
+                self._world[row, 1] = gravity if self._disturbed[row] else 1.0
             self._draw_stiffness(np.array([row]), rng)
             self._stiffness[row] **= strength
             self._simulator.vary([self._variation(row)], rng, np.array([row]))
@@ -421,8 +419,8 @@ class Disturbances:
         """Continue from the ``arrays`` of a checkpoint."""
         for name, array in self.arrays.items():
             array[:] = arrays[name]
-        if self._redraws:
-            self._draw_worlds(np.flatnonzero(self._drawn_at[:, 1]))
+        if self._redraws and self._varies:
+            self._draw_worlds(np.flatnonzero(self._drawn_at[:, 1] * self._disturbed))
 
     def begin(self, rows: IntArray) -> None:
         """Discard the commands of earlier episodes of the robots ``rows``, and draw the delay of the new ones."""

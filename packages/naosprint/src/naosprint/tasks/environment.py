@@ -246,10 +246,12 @@ class Environment:
             world.streams[rows] = episodes
             for name, array in self._arrays.items():
                 array[rows] = self._new[name][rows]
-            self.disturbances.draw_by_episode(rows, episodes)
+            self.disturbances.draw_by_episode(rows)
             self.simulator.draw_by_episode(rows, episodes)
         else:
-            self.disturbances.grow(rows, world.steps[rows] > 0, self.failed[rows])
+            # of an episode that is truncated to train the start no more is asked than that it does not fail
+            failed = self.failed[rows] | ~(self.task.succeeded(rows) | self.short[rows])
+            self.disturbances.grow(rows, (world.steps[rows] > 0) & ~self.lost[rows], failed)
         self.simulator.start(rows, starts, following)
         self.task.place(rows)
         self.disturbances.begin(rows)

@@ -287,10 +287,14 @@ class GetUp(Task[GetUpSettings]):
         """Return which robots have stood for long enough."""
         return self._held[rows] >= HOLD_STEPS
 
+    def succeeded(self, rows: IntArray) -> BoolArray:
+        """Return which robots stood in time."""
+        stood = self._stood_at[rows]
+        return (stood > 0) & (stood * STEP_S <= LIMIT_S)
+
     def measure(self, rows: IntArray) -> FloatArray:
         """Return whether the robot stands, and whether it stood in time."""
-        stood = self._stood_at[rows]
-        return np.stack([self._held[rows] > 0, (stood > 0) & (stood * STEP_S <= LIMIT_S)], axis=1).astype(np.float64)
+        return np.stack([self._held[rows] > 0, self.succeeded(rows)], axis=1).astype(np.float64)
 
     trace = ("stood_at", "held")
 

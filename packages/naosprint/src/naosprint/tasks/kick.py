@@ -103,7 +103,7 @@ class Kick(BallTask[KickSettings]):
     metrics = (CONTACT, LAUNCH_ERROR, ROLL, ROLL_ERROR, FALL_RATE)
     results = (UPRIGHT_RATE, CORRIDOR_5, STOP_ERROR, STOP_ERROR_90, DISTANCE_ERROR, GOAL, POWER, DISTANCE)
     ends = (FALL, End("done", "Kick"), End("missed", "No kick"))
-    trace = ("ball_x", "ball_y", "touched", "direction", "distance", "aligned", "launch_error")
+    trace = ("ball_x", "ball_y", "touched", "direction", "distance", "aligned", "launch_error", "roll_x", "roll_y")
     presentation = Presentation(
         skill="Kick",
         charts=(
@@ -426,15 +426,17 @@ class Kick(BallTask[KickSettings]):
 
     def _launch_now(self) -> Number:
         """Return angle from the aim and length of the roll that would follow from now on."""
-        ball = {part: self.world.body(BALL, part) for part in ("position", "velocity", "spin")}
-        roll = rolling.roll(ball["velocity"], ball["spin"], self._radius)
+        roll, start, place = self._roll(), source(self._start), self.world.body(BALL, "position")[:2]
         speed = hypot(roll[0], roll[1])
-        start = source(self._start)
         way = along(
             self._scored_by[0],
-            ball["position"][:2] - start + roll * (rolling.straight(speed) / maximum(speed, 1e-6)),
+            place - start + roll * (rolling.straight(speed) / maximum(speed, 1e-6)),
         )
         return stack(arctan2(way[1], way[0]), hypot(way[0], way[1]))
+
+    def _roll(self) -> Number:
+        """Return the velocity with which the ball rolls once it no longer slides."""
+        return rolling.roll(self.world.body(BALL, "velocity"), self.world.body(BALL, "spin"), self._radius)
 
     def _scored(self, angle: Number, reached: Number) -> Number:
         """Return the score of a launch at an angle from the aim, that lets the ball roll straight so far."""
@@ -466,6 +468,10 @@ class Kick(BallTask[KickSettings]):
 
     # results
 
+    def succeeded(self, rows: IntArray) -> BoolArray:
+        """Return which robots have kicked."""
+        return self._touched[rows] >= 0
+
     def measure(self, rows: IntArray) -> FloatArray:
         """Return touch, errors of launch and roll, roll, and fall."""
         angle, reached = self._launch[rows].T
@@ -476,13 +482,12 @@ class Kick(BallTask[KickSettings]):
         return np.stack([touched, np.degrees(angle), reached, error, self._fallen[rows]], axis=1)
 
     def trace_row(self, rows: IntArray) -> FloatArray:
-        """Return the ball's place, whether it was touched, and the command."""
+        """Return the ball's place, whether it was touched, the command, and the velocity with which the ball rolls."""
         ball, touched = self.world.bodies[BALL].position[rows, :2], self._touched[rows] >= 0
         kind = np.where(self._aligned[rows], 1.0, 0.0)
         distance = np.where(self._power[rows], np.inf, self._target[rows, 1])
-        return np.column_stack(
-            [ball, touched, self._target[rows, 0], distance, kind, np.degrees(self._launch[rows, 0])]
-        )
+        error, roll = np.degrees(self._launch[rows, 0]), self._roll()(rows)
+        return np.column_stack([ball, touched, self._target[rows, 0], distance, kind, error, roll])
 
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
         """Return results of all episodes, and those of aligned and of other starts side by side."""

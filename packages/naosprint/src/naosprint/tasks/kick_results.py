@@ -8,6 +8,7 @@ import numpy as np
 from naosim.simulator import STEP_S
 from naospec.metrics import Metric, Result, ResultTable
 
+from naosprint.tasks import rolling
 from naosprint.tasks.ball import components, principal
 
 if TYPE_CHECKING:
@@ -152,7 +153,10 @@ class Kicks:
             ),
             strict=True,
         )
-        ends = np.array([path[-1] for path in self._paths])
+        # an episode may end before the ball does, such as with a fall
+        last = np.array([trace[-1, 7:9] for trace in episodes.trace])
+        further, way = rolling.stop(np.hypot(*last.T), np.arctan2(last[:, 1], last[:, 0]))
+        ends = np.array([path[-1] for path in self._paths]) + further[:, None] * np.stack([np.cos(way), np.sin(way)], 1)
         self._rolled = np.hypot(*ends.T)
         self._error = np.degrees(np.abs(principal(np.arctan2(ends[:, 1], ends[:, 0]) - self._direction)))
         self._power = np.isinf(self._distance)

@@ -168,6 +168,7 @@ class Observer:
         doubled = {name for name in names if names.count(name) > 1}
         if doubled:
             raise ValueError(f"observations: {', '.join(sorted(doubled))}: two blocks have a number of this name")
+        self._require_names_of_arrays()
         self.observations: FloatArray = np.zeros((n, len(names)))
         self._mirror = (partners, signs)
         self._places: list[tuple[ObservationBlock, int, int]] = []
@@ -259,6 +260,17 @@ class Observer:
         for block, at in self._rated:
             values[:, at] = block.measured(rows)
         return values
+
+    def _require_names_of_arrays(self) -> None:
+        """Refuse blocks whose arrays would replace each other in a checkpoint."""
+        found: dict[str, AnyArray] = {}
+        for block in self.blocks:
+            for name, array in block.arrays.items():
+                if name in ("observations", "features") or found.setdefault(name, array) is not array:
+                    raise ValueError(
+                        f"observations: {', '.join(block.names)}: another array is named {name!r} in checkpoints; "
+                        "give the block's own another name"
+                    )
 
     def state(self) -> dict[str, AnyArray]:
         """Return everything that the next observation depends on."""

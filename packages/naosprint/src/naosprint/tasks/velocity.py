@@ -177,6 +177,13 @@ FLIGHT_RATE = Metric(
 )
 
 
+def _applied(trace: FloatArray) -> FloatArray:
+    """Return a (T, 8) trace in which the command of each step is the one that the robot had in it, not the next."""
+    trace = trace.copy()
+    trace[1:, 3:6] = trace[:-1, 3:6].copy()
+    return trace
+
+
 def _changes(trace: FloatArray) -> IntArray:
     """Return the samples of a (T, 8) trace with which a new command begins, the start among them."""
     return np.concatenate(([0], 1 + np.flatnonzero((trace[1:, 3:6] != trace[:-1, 3:6]).any(axis=1))))
@@ -577,6 +584,7 @@ class Velocity(Task[VelocitySettings]):
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
         """Return how well the command was followed."""
         settled = round(SETTLED_S / STEP_S)
+        traces = list(map(_applied, episodes.trace))
 
         def root_mean_square(values: FloatArray) -> float:
             return float(np.sqrt(np.square(values).sum(axis=1).mean())) if len(values) else float("nan")
@@ -585,19 +593,19 @@ class Velocity(Task[VelocitySettings]):
             array: FloatArray = np.array(values, dtype=np.float64)
             return np.asarray(array[np.isfinite(array)])
 
-        stops = chain.from_iterable(map(_stops, episodes.trace, episodes.ends["fallen"].tolist()))
-        errors = [trace[1:, :2] - trace[1:, 3:5] for trace in episodes.trace]
-        late = [trace[settled:] for trace in episodes.trace]
-        flight = np.array([trace[1:, 7].any() for trace in episodes.trace])
+        stops = chain.from_iterable(map(_stops, traces, episodes.ends["fallen"].tolist()))
+        errors = [trace[1:, :2] - trace[1:, 3:5] for trace in traces]
+        late = [trace[settled:] for trace in traces]
+        flight = np.array([trace[1:, 7].any() for trace in traces])
         rmse = [root_mean_square(each[:, :2] - each[:, 3:5]) for each in late]
         rmse_whole = [root_mean_square(each) for each in errors]
         speed = [each[:, 0].mean() if len(each) else np.nan for each in late]
-        drift = np.array([abs(trace[-1, 6]) for trace in episodes.trace])
+        drift = np.array([abs(trace[-1, 6]) for trace in traces])
         results = (
             statistics.mean(RMSE, known(rmse)),
             statistics.mean(RMSE_WHOLE, known(rmse_whole)),
             statistics.mean(TURN_RMSE, known([root_mean_square(each[:, 2:3] - each[:, 5:6]) for each in late])),
-            statistics.mean(SPEED, np.array([trace[1:, 0].mean() for trace in episodes.trace])),
+            statistics.mean(SPEED, np.array([trace[1:, 0].mean() for trace in traces])),
             statistics.mean(SETTLED_SPEED, known(speed)),
             statistics.mean(DRIFT, drift),
             statistics.median(MEDIAN_SPEED, np.nan_to_num(speed)),
@@ -608,9 +616,7 @@ class Velocity(Task[VelocitySettings]):
             statistics.rate(FALL_RATE, episodes.ends["fallen"]),
             statistics.mean(FLIGHT, np.array([flags[1:].mean() for flags in episodes.airborne])),
             statistics.rate(FLIGHT_RATE, flight),
-            statistics.mean(
-                RMSE_SETTLED, known([root_mean_square(_settled_errors(trace)) for trace in episodes.trace])
-            ),
+            statistics.mean(RMSE_SETTLED, known([root_mean_square(_settled_errors(trace)) for trace in traces])),
             statistics.rate(STOP_RATE, np.array(list(stops), dtype=np.bool_)),
         )
         return results, ()
