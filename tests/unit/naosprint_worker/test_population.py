@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any
 
 import pytest
 from naojobs.models import Trial, TrialState
-from naospec.search import SearchSpec
-from naosprint_worker.population import is_due, start_of
+from naospec.search import Parameter, SearchSpec
+from naosprint_worker.population import _perturbed, is_due, start_of
+from pydantic import TypeAdapter
 
 SPACE = {
     "learning_rate": {"type": "float", "low": 1e-4, "high": 1e-3, "log": True},
@@ -96,6 +98,31 @@ def test_perturbed_settings_stay_in_their_ranges_and_every_worker_chooses_the_sa
         assert 0.9 <= after["gae_lambda"] <= 1.0
         assert after["batch_size"] in (64, 128, 256)
     assert changed == set(SPACE)
+
+
+@pytest.mark.parametrize(
+    ("kind", "grid"),
+    [
+        ("float", [0.0, 0.25, 0.5, 0.75, 1.0]),
+        ("float", [0.9, 0.93, 0.96, 0.99]),
+        ("float", [0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9]),
+        ("float", [-3.0, -2.5, -2.0, -1.5, -1.0]),
+        ("float", [round(0.01 * k, 2) for k in range(100)]),
+        ("int", [1, 3, 5, 7]),
+        ("int", list(range(0, 99, 3))),
+    ],
+)
+def test_settings_on_a_grid_change_and_stay_on_it(kind: str, grid: list[Any]) -> None:
+    """Also where a step is more than the usual change, and where the range ends between two values."""
+    step, random = round(grid[1] - grid[0], 2), Random(0)
+    for high in (grid[-1], grid[-1] + (step / 3 if kind == "float" else step - 1)):
+        item = TypeAdapter(Parameter).validate_python({"type": kind, "low": grid[0], "high": high, "step": step})
+        for i, value in enumerate(grid):
+            found = {_perturbed(item, value, random) for _ in range(50)}
+            assert found <= set(grid), value
+            if 0 < i < len(grid) - 1:
+                assert value not in found
+                assert min(found) < value < max(found)
 
 
 @pytest.mark.parametrize(

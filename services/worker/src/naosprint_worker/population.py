@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from random import Random
 from typing import Any
 
@@ -77,12 +78,13 @@ def _perturbed(item: Parameter, value: Any, random: Random) -> Any:
         return random.choice(item.choices) if random.random() < RESAMPLED else value
     direction = random.choice((-1, 1))
     moved = value * (1 + 0.2 * direction) if item.log else value + 0.1 * direction * (item.high - item.low)
-    if isinstance(item, IntRange):
-        step = item.step or 1
-        steps = round((moved - item.low) / step)
-        if item.low + steps * step == value:  # the smallest change there is
-            steps += direction
-        return item.low + step * min(max(steps, 0), (item.high - item.low) // step)
-    if item.step is not None:
-        moved = item.low + item.step * round((moved - item.low) / item.step)
-    return min(max(moved, item.low), item.high)
+    whole = isinstance(item, IntRange)
+    if item.step is None and not whole:
+        return min(max(moved, item.low), item.high)
+    # of the numbers as they are written, so that no rounding moves a value off the grid
+    low, high, step, before = (Fraction(str(number)) for number in (item.low, item.high, item.step or 1, value))
+    steps = round((Fraction(moved) - low) / step)
+    if steps == round((before - low) / step):  # the smallest change there is
+        steps += direction
+    result = low + step * min(max(steps, 0), (high - low) // step)
+    return int(result) if whole else float(result)

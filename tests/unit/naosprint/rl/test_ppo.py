@@ -479,7 +479,7 @@ def test_what_a_critic_observes_is_found_by_its_name(open_learner: Open) -> None
         np.testing.assert_array_equal(taken[first][:, : d + kept], given[first][:, : d + kept])
         assert np.abs(given[first][:, d:]).min() > 0.0
         assert not taken[first][:, d + kept :].any()
-        for part, blank in (("mean", 0.0), ("variance", 1.0)):
+        for part, blank in (("mean", 0.0), ("variance", 1.0), ("counts", 1e-4)):
             found, before = taken[f"critic_observation_{part}"], given[f"critic_observation_{part}"]
             np.testing.assert_array_equal(found[:kept], before[:kept])
             assert (found[kept:] == blank).all()
@@ -489,7 +489,7 @@ def test_what_joins_a_policy_is_standardized_by_its_own_samples(open_learner: Op
     """The start of its statistics must not weigh as much as all that the policy has observed before."""
     plain = open_learner(robot="t1")
     assert plain.collect()
-    given = {**plain.policy_state(), "observation_count": np.array([1e8])}
+    given = {**plain.policy_state(), "observation_counts": np.full(plain.environment.n_observations, 1e8)}
     privileged = open_learner(robot="t1", critic_observations=True)
     observer = privileged.environment.environment.observer
     privileged.load_policy_state(privileged.adapt_critic(given, ((), observer.critic_names)))

@@ -41,6 +41,9 @@ ENVIRONMENT = "environment.npz"
 FORMAT = formats.CURRENT[formats.Kind.CHECKPOINT]
 """Version of the checkpoint format that this code writes; it reads older ones, see `naospec.formats`."""
 
+_IMPLIED = {f"{part}observation_counts": "observation_count" for part in ("", "critic_")}
+"""Arrays of a policy that its file lacks if all their numbers are the single one of another array."""
+
 _MAX_MANIFEST_BYTES = 1_000_000
 _MAX_FILE_BYTES = 4_000_000_000
 
@@ -145,7 +148,8 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
     partial = partial_of(directory)
     partial.mkdir()
     try:
-        contents = {POLICY: state.policy, LEARNER: state.learner, ENVIRONMENT: state.environment}
+        policy = {name: array for name, array in state.policy.items() if not _is_implied(name, state.policy)}
+        contents = {POLICY: policy, LEARNER: state.learner, ENVIRONMENT: state.environment}
         contents |= {process_file(number): arrays for number, arrays in enumerate(state.others, 1)}
         files = {name: _write_arrays(partial / name, arrays) for name, arrays in contents.items()}
         manifest = Manifest(
@@ -254,10 +258,12 @@ def read_arrays(path: Path) -> dict[str, AnyArray]:
 def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[str, AnyArray]) -> None:
     """Check that ``found`` has the names, shapes and kinds of ``expected`` and nothing but finite numbers.
 
+    What a policy's file lacks because another array implies it may be missing.
+
     Raises:
         CheckpointError: naming the first array that differs.
     """
-    for name in sorted(expected.keys() | found.keys()):
+    for name in sorted((expected.keys() - (_IMPLIED.keys() - found.keys())) | found.keys()):
         if name not in found:
             raise CheckpointError(f"{path}: array {name!r} is missing")
         if name not in expected:
@@ -270,6 +276,10 @@ def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[st
             )
         if theirs.dtype.kind == "f" and not np.isfinite(theirs).all():
             raise CheckpointError(f"{path}: array {name!r} contains numbers that are not finite")
+
+
+def _is_implied(name: str, arrays: Mapping[str, AnyArray]) -> bool:
+    return name in _IMPLIED and bool((arrays[name] == arrays[_IMPLIED[name]]).all())
 
 
 def _write_arrays(path: Path, arrays: Mapping[str, AnyArray]) -> FileEntry:

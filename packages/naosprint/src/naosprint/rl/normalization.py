@@ -18,13 +18,23 @@ if TYPE_CHECKING:
 EPSILON = 1e-8
 """Added to variances before their root is taken."""
 
-STATISTICS = ("observation_mean", "observation_variance", "observation_count")
-"""Names of a normalizer's arrays that acting needs."""
+STATISTICS = ("observation_mean", "observation_variance", "observation_counts")
+"""Names of a normalizer's arrays with one number per observation, which a policy keeps."""
+
+COUNT = "observation_count"
+"""Name of its largest number of samples, which a policy keeps, too."""
+
+CRITIC = "critic_"
+"""Before the names of a policy's statistics of what only the critic observes."""
 
 REWARD_CLIP = 10.0
 """Largest magnitude of a normalized reward."""
 
-_NO_SAMPLES = 1e-4
+NO_SAMPLES = 1e-4
+"""Weight of mean 0 and variance 1 before the first sample."""
+
+GUESSED_SAMPLES = 1000.0
+"""Weight of guessed moments: enough for the first steps, and outweighed by the samples of a few updates."""
 
 _ALL = slice(None)
 
@@ -50,7 +60,7 @@ class RunningMoments:
     def __init__(self, width: int, mirror: Mirror | None = None, threads: int = 0) -> None:
         self.mean: FloatArray = np.zeros(width)
         self.variance: FloatArray = np.ones(width)
-        self.count: FloatArray = np.full(width, _NO_SAMPLES)
+        self.count: FloatArray = np.full(width, NO_SAMPLES)
         index, sign = (None, None) if mirror is None else (mirror.index, mirror.sign)
         self.compiled = _compiled.Moments(self.mean, self.variance, self.count, index, sign, threads)
 
@@ -68,11 +78,8 @@ class RunningMoments:
         self.load(sums[1] / sums[0], np.maximum(sums[2] / sums[0] - np.square(sums[1] / sums[0]), 0.0), sums[0])
 
     def load(self, mean: AnyArray, variance: AnyArray, count: AnyArray) -> None:
-        """Take over these moments; a single count is that of all that have been observed."""
-        self.mean[:], self.variance[:] = mean, variance
-        # what has never been observed must not weigh as much as the samples of all others
-        blank = (self.mean == 0.0) & (self.variance == 1.0)
-        self.count[:] = np.where(blank, _NO_SAMPLES, count) if np.size(count) == 1 else count
+        """Take over these moments."""
+        self.mean[:], self.variance[:], self.count[:] = mean, variance, count
 
 
 class Normalizer:
@@ -119,10 +126,9 @@ class Normalizer:
         if self._observations:
             self.observation_moments.update(observations)
 
-    def observations(self, observations: FloatArray, out: Float32Array | None = None) -> Float32Array:
-        """Return (k, width) raw observations as the policy sees them, in ``out`` if it is given."""
-        if out is None:
-            out = np.empty(observations.shape, np.float32)
+    def observations(self, observations: FloatArray) -> Float32Array:
+        """Return (k, width) raw observations as the policy sees them."""
+        out = np.empty(observations.shape, np.float32)
         if self._observations:
             self.observation_moments.compiled.standardize(observations, self._clip, out)
         else:
@@ -184,7 +190,20 @@ class Normalizer:
 
     def load_statistics(self, state: Mapping[str, AnyArray]) -> None:
         """Restore only the statistics, which do not depend on the number of environments."""
-        for moments, name in ((self.observation_moments, "observation"), (self.return_moments, "return")):
-            count = state.get(f"{name}_counts", state[f"{name}_count"])
-            moments.load(state[f"{name}_mean"], state[f"{name}_variance"], count)
+        self.observation_moments.load(*(state[name] for name in STATISTICS))
+        self.return_moments.load(*(state[f"return_{part}"] for part in ("mean", "variance", "count")))
         self._note_merged()
+
+
+def with_counts(policy: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    """Return a policy's arrays with the number of samples of each observation.
+
+    A file has a single number where all are the same, and so does every file of earlier versions.
+    """
+    mean, _, counts = STATISTICS
+    single = {
+        part + counts: np.repeat(policy.get(COUNT, ()), np.size(policy[part + mean]))
+        for part in ("", CRITIC)
+        if part + mean in policy
+    }
+    return {**single, **policy}

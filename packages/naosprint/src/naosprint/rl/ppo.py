@@ -26,7 +26,7 @@ from naosprint.rl.forward import Forward
 from naosprint.rl.gradients import KernelGradients, Samples, gaussian_entropy
 from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import TorchForward, actor_of, blind, critic_of, linear_layers
-from naosprint.rl.normalization import STATISTICS, Normalizer
+from naosprint.rl.normalization import COUNT, CRITIC, STATISTICS, Normalizer, with_counts
 from naosprint.rl.settings import PPOSettings
 from naosprint.rl.symmetry import Symmetry, tie_weights
 from naosprint.rl.warm_start import adapt, with_critic
@@ -422,20 +422,17 @@ class PPO(Learner):
         statistics, seen = self.normalizer.state(), self._n_seen
         state: dict[str, AnyArray] = {name: tensor.numpy().copy() for name, tensor in self._average.items()}
         state[_FIRST] = state[_FIRST][:, :seen].copy()
-        for name in STATISTICS:
-            state[name] = statistics[name]
+        state |= {name: statistics[name][:seen] for name in (*STATISTICS, COUNT)}
         if seen < self.environment.n_observations:
-            for name in STATISTICS[:2]:
-                state[name], state[f"critic_{name}"] = statistics[name][:seen], statistics[name][seen:]
+            state |= {CRITIC + name: statistics[name][seen:] for name in STATISTICS}
         return state
 
     def load_policy_state(self, state: Mapping[str, AnyArray]) -> None:
         """Continue with these weights, as the latest ones and as their average, and with these statistics."""
-        found = {name: np.array(value) for name, value in state.items()}
-        statistics = {**self.normalizer.state(), **{name: found.pop(name) for name in STATISTICS}}
-        del statistics["observation_counts"]
-        for name in STATISTICS[:2]:
-            statistics[name] = np.append(statistics[name], found.pop(f"critic_{name}", ()))
+        found = {name: np.array(value) for name, value in with_counts(state).items()}
+        statistics = {**self.normalizer.state(), COUNT: found.pop(COUNT)}
+        for name in STATISTICS:
+            statistics[name] = np.append(found.pop(name), found.pop(CRITIC + name, ()))
         first = np.zeros((len(found[_FIRST]), self.environment.n_observations), np.float32)
         first[:, : self._n_seen] = found[_FIRST]
         weights = {name: torch.from_numpy(value) for name, value in {**found, _FIRST: first}.items()}
@@ -451,6 +448,7 @@ class PPO(Learner):
         actions: tuple[Sequence[str], Sequence[str]],
     ) -> Mapping[str, AnyArray]:
         """Return the policy of another training rearranged by names; see :func:`naosprint.rl.warm_start.adapt`."""
+        state = with_counts(state)
         if (observations[0], actions[0]) != (observations[1], actions[1]):
             inner = self.environment.environment
             rest, spreads = inner.actuation.rest, inner.observer.spreads

@@ -87,18 +87,14 @@ ALONE = Processes()
 
 
 class ConnectedProcesses(Processes):
-    """Processes that are connected by Gloo.
+    """Processes that are connected by Gloo."""
 
-    Args:
-        timeout_s: time after which a process that does not answer is lost.
-    """
-
-    def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self) -> None:
         import torch.distributed
 
         self._distributed = torch.distributed
         with _losses():
-            self._distributed.init_process_group("gloo", timeout=timedelta(seconds=timeout_s))
+            self._distributed.init_process_group("gloo", timeout=timedelta(seconds=TIMEOUT_S))
         self.rank, self.size = self._distributed.get_rank(), self._distributed.get_world_size()
 
     def sum(self, values: FloatArray) -> FloatArray:
@@ -145,12 +141,11 @@ class ConnectedProcesses(Processes):
 
 
 @contextmanager
-def connected(spec: TrainingSpec | None = None, timeout_s: float = TIMEOUT_S) -> Iterator[Processes]:
+def connected(spec: TrainingSpec | None = None) -> Iterator[Processes]:
     """Connect the processes that ``torchrun`` or Slurm has started, as the environment variables tell.
 
     Args:
         spec: what they will train, checked before any of them waits for another.
-        timeout_s: time after which a process that does not answer is lost.
 
     Raises:
         ValueError: if environments or minibatch of a stage cannot be divided evenly among them.
@@ -163,7 +158,7 @@ def connected(spec: TrainingSpec | None = None, timeout_s: float = TIMEOUT_S) ->
     # each finds this by itself: once one has ended, others would only report that it is gone
     for stage in spec.stage_specs if spec is not None else ():
         require_divisible(stage, size)
-    processes = ConnectedProcesses(timeout_s)
+    processes = ConnectedProcesses()
     try:
         yield processes
     finally:

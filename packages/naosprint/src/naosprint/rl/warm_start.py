@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from naosprint.rl.normalization import CRITIC, GUESSED_SAMPLES, NO_SAMPLES, STATISTICS
 from naosprint.tasks.observations import PAST
 
 if TYPE_CHECKING:
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import AnyArray, FloatArray
 
-_CRITIC = ("critic_observation_mean", "critic_observation_variance")
+_CRITIC = tuple(CRITIC + name for name in STATISTICS)
 _FIRST_LAYERS = ("mlp_extractor.policy_net.0.weight", "mlp_extractor.value_net.0.weight")
 
 
@@ -29,11 +30,13 @@ def adapt(
 
     Observations that only the new training has get weight 0 at first; joints that only it has are held at angle 0 and
     explored with the mean of the other joints' standard deviations. New joint angles and rates are standardized as
-    those of the other joints on average, other new observations by the given spreads or as what has not been observed
-    yet. What only the old training has is left out. With the same names on both sides nothing changes.
+    those of the other joints on average, earlier observations as the latest ones, other new observations by the given
+    spreads or as what has not been observed yet. Such a guess weighs as much as a few samples, whereas the other
+    statistics keep their numbers of samples. What only the old training has is left out. With the same names on both
+    sides nothing changes.
 
     Args:
-        policy: weights and observation statistics by name, as in a checkpoint.
+        policy: weights and observation statistics by name, with the number of samples of each.
         observations: names of the observations, of the old training and of the new one.
         actions: the same for the actions, which are joints.
         rest: (A,) actions of the new robot that hold its joints at angle 0.
@@ -51,20 +54,22 @@ def adapt(
     fitted["action_net.weight"] = np.where(still[:, None], np.float32(0.0), policy["action_net.weight"][moved])
     fitted["action_net.bias"] = np.where(still, rest, policy["action_net.bias"][moved]).astype(np.float32)
     fitted["log_std"] = np.where(still, policy["log_std"].mean(), policy["log_std"][moved]).astype(np.float32)
-    variance = policy["observation_variance"]
-    # what is remembered is spread like what is observed now
-    present = [name.rsplit(PAST, 1)[0] for name in observations[1]]
-    seen, unseen = _indices(observations[0], present)
-    fitted["observation_mean"] = np.where(unseen, 0.0, policy["observation_mean"][seen])
-    guess = np.ones(len(observations[1]))
+    mean, variance, counts = (policy[name] for name in STATISTICS)
+    guesses: dict[str, float] = {}
     for suffix in ("", "_rate"):
         known = [name + suffix for name in actions[0] if name + suffix in observations[0]]
-        typical = variance[_indices(observations[0], known)[0]].mean() if known else 1.0
-        new = [name + suffix for name in actions[1]]
-        guess[[name in new for name in present]] = typical
-    for name, spread in (spreads or {}).items():
-        guess[[each == name for each in present]] = spread * spread
-    fitted["observation_variance"] = np.where(unseen, guess, variance[seen])
+        if known:
+            typical = variance[_indices(observations[0], known)[0]].mean()
+            guesses |= {name + suffix: typical for name in actions[1]}
+    guesses |= {name: spread * spread for name, spread in (spreads or {}).items()}
+    # what is remembered is spread like what is observed now
+    present = [name.rsplit(PAST, 1)[0] for name in observations[1]]
+    latest, unknown = _indices(observations[0], present)
+    guess = np.array([guesses.get(name, 1.0) for name in present])
+    guessed = np.where(unknown, [name in guesses for name in present], True)
+    fitted["observation_mean"] = np.where(unknown, 0.0, mean[latest])
+    fitted["observation_variance"] = np.where(unknown, guess, variance[latest])
+    fitted["observation_counts"] = np.where(unseen, np.where(guessed, GUESSED_SAMPLES, NO_SAMPLES), counts[seen])
     return fitted
 
 
@@ -91,7 +96,7 @@ def with_critic(
     own = np.where(new, np.float32(0.0), old[:, known])
     fitted[_FIRST_LAYERS[1]] = np.append(weights[:, :seen], own, axis=1)
     if len(names[1]):
-        for name, blank in zip(_CRITIC, (0.0, 1.0), strict=True):
+        for name, blank in zip(_CRITIC, (0.0, 1.0, NO_SAMPLES), strict=True):
             fitted[name] = np.where(new, blank, np.append(policy.get(name, ()), blank)[known])
     return fitted
 
