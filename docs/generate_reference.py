@@ -107,7 +107,8 @@ def _naosprint() -> Iterator[str]:
 
     yield from _argparse("python -m naosprint", _parser(), skip_group="specification")
     yield "\n`train` takes every field of the [training](specification.md#training), `evaluate` every field of the"
-    yield "[evaluation](specification.md#evaluation) as an option: `total_steps` is `--total-steps`."
+    yield "[evaluation](specification.md#evaluation) as an option: `total_steps` is `--total-steps`. Values are written"
+    yield "as for `naoctl submit`: `3M`, `64,64`, `none`; `--no-compiled-update` is `--compiled-update false`."
 
 
 def _naosim() -> Iterator[str]:

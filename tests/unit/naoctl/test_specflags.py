@@ -1,26 +1,26 @@
 from __future__ import annotations
 
 import inspect
+import json
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, get_args
 
 import pytest
 import typer
 from naoctl.cli import build_app
+from naoctl.cli import main as naoctl
+from naoctl.commands.artifacts import condition_values
 from naoctl.commands.studies import make_search, tune
-from naoctl.commands.submit import make_group, submit
+from naoctl.commands.submit import make_body, make_group, submit
 from naoctl.errors import ExitCode, InvalidInput
-from naoctl.specflags import (
-    build,
-    choices_of,
-    flag_name,
-    parse_flags,
-    settings_of,
-    spec_parameters,
-    training_settings,
-    with_parameters,
-)
+from naoctl.specflags import build, spec_parameters, training_settings, with_parameters
 from naospec import EvaluationSpec, TrainingSpec, flat, plugins
+from naospec.flags import choices_of, flag_name, parse_flags
+from naospec.flat import Setting, settings_of
+from naosprint.__main__ import _given, _parser, main
+from pydantic import ValidationError
+from typer.main import get_command
 from typer.models import OptionInfo
 from typer.testing import CliRunner
 
@@ -36,7 +36,7 @@ def command_with_flags() -> tuple[typer.Typer, list[dict[str, Any]]]:
         seen.append(spec)
 
     app = typer.Typer(rich_markup_mode=None)
-    parameters = spec_parameters(training_settings(), panel="Training", aliases={"total_steps": ["--steps"]})
+    parameters = spec_parameters(training_settings(), panel="Training")
     app.command()(with_parameters(train, {"spec": parameters}))
     return app, seen
 
@@ -114,30 +114,6 @@ def test_only_given_flags_arrive() -> None:
     assert seen == [{"total_steps": "1000", "normalize_rewards": False, "target_kl": "none", "preset": "paper"}]
 
 
-@pytest.mark.parametrize(
-    ("flags", "expected"),
-    [
-        ({"target_kl": "none"}, {"target_kl": None}),
-        ({"target_kl": "0.5"}, {"target_kl": "0.5"}),
-        ({"hidden_sizes": "64, 32"}, {"hidden_sizes": ["64", "32"]}),
-        ({"sensor_digits": "3"}, {"sensor_digits": 3}),
-        ({"kp": '{"legs": 60}'}, {"kp": {"legs": 60}}),
-        ({"sensor_digits": "null"}, {"sensor_digits": None}),
-        ({"task": "none"}, {"task": "none"}),
-        ({"normalize_rewards": True}, {"normalize_rewards": True}),
-        ({"total_steps": "3M"}, {"total_steps": "3000000"}),
-        ({"total_steps": "250k"}, {"total_steps": "250000"}),
-        ({"total_steps": "1.5m"}, {"total_steps": "1500000"}),
-        ({"total_steps": "10 G"}, {"total_steps": "10000000000"}),
-        ({"total_steps": "3MB"}, {"total_steps": "3MB"}),
-        ({"total_steps": "M"}, {"total_steps": "M"}),
-        ({"task": "3M"}, {"task": "3M"}),
-    ],
-)
-def test_flag_values_become_field_values(flags: dict[str, Any], expected: dict[str, Any]) -> None:
-    assert parse_flags(training_settings(), flags) == expected
-
-
 def test_flags_reach_the_specification_as_numbers() -> None:
     spec = spec_of({"learning_rate": "1e-4", "hidden_sizes": "32,16", "n_envs": "64", "sensor_digits": "none"})
     algorithm = spec.algorithm
@@ -148,7 +124,7 @@ def test_flags_reach_the_specification_as_numbers() -> None:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        ({"n_envs": "0"}, ["--n-envs", "greater than or equal to 1", "'0'"]),
+        ({"n_envs": "0"}, ["--n-envs", "greater than or equal to 1", "got 0"]),
         ({"total_steps": "3.0001k"}, ["--total-steps", "3000.1"]),
         ({"n_envs": "many"}, ["--n-envs", "valid integer", "'many'"]),
         ({"clip_range": "1.5"}, ["--clip-range", "less than 1"]),
@@ -191,14 +167,6 @@ def test_prefixed_flags_keep_two_models_apart() -> None:
         build(EvaluationSpec, {"episodes": 0}, from_flags={"episodes": settings["episodes"]}, prefix="eval_")
 
 
-def test_choices_come_from_literals_and_schema() -> None:
-    settings = training_settings()
-    assert "sprint2-erect" in settings["task"].choices
-    assert set(choices_of(settings["preset"].info)) == {"fast", "paper", "custom"}
-    assert choices_of(settings["sensor_digits"].info) == ("2", "3", "none")
-    assert choices_of(settings["n_envs"].info) == ()
-
-
 def test_a_command_keeps_its_own_parameters() -> None:
     def train(name: str = "x", spec: dict[str, Any] = {}) -> None:  # noqa: B006
         """Train."""
@@ -206,3 +174,135 @@ def test_a_command_keeps_its_own_parameters() -> None:
     made = with_parameters(train, {"spec": spec_parameters(settings_of(EvaluationSpec), panel="x")})
     assert list(inspect.signature(made).parameters)[:2] == ["name", "episodes"]
     assert made.__doc__ == "Train."
+
+
+def spec_with(values: Mapping[str, Any]) -> TrainingSpec | None:
+    """Return the specification with some settings, or None if it is not valid."""
+    try:
+        return TrainingSpec.model_validate(flat.nest(values))
+    except ValidationError:
+        return None
+
+
+def starts_of(setting: Setting, known: dict[str, Any]) -> list[tuple[dict[str, str], Any]]:
+    """Return the trainings, by section, that have a setting, with its default; ``known`` remembers their contents."""
+    found = []
+    for robot in ({}, {"robot": "t1"}):
+        start = {**robot, **({setting.path[0]: setting.plugins[0]} if setting.plugins else {})}
+        if str(start) not in known:
+            spec = spec_with(start)
+            known[str(start)] = {} if spec is None else spec.model_dump(mode="json")
+        content = known[str(start)] if len(setting.path) == 1 else known[str(start)].get(setting.path[0], {})
+        found += [(start, content[setting.path[-1]])] if setting.path[-1] in content else []
+    return found
+
+
+def values_of(setting: Setting, default: Any) -> list[Any]:
+    """Return values of a setting to try, its default last."""
+    words = [*setting.choices, *choices_of(setting.info)]
+    near = [not default] if isinstance(default, bool) else [default + 1] if isinstance(default, int | float) else []
+    others = [0.3, 0.05, 2, 0, [32, 16], {"legs": 60.0}, "t1-run-wide", ["t1-run"]]
+    return [*(value for value in (*words, *near, *others) if value not in (default, "none")), default]
+
+
+def spellings_of(flag: str, value: Any) -> list[list[str]]:
+    """Return the ways to write a flag with a value."""
+    if isinstance(value, bool):
+        words = ("true", "Yes", "1") if value else ("false", "OFF", "0")
+        return [[flag] if value else [f"--no-{flag[2:]}"], [f"{flag}={words[0]}"], *([flag, word] for word in words)]
+    texts = [json.dumps(value) if isinstance(value, list | dict) else str(value)]
+    if isinstance(value, int):
+        texts += [f"{value / 1000:.9g}k", f"{value:.12e}", f" {value} "]
+    elif isinstance(value, list):
+        texts += [sign.join(map(str, value)) for sign in (",", " ", ", ")]
+    elif value is None:
+        texts += ["none", "NULL"]
+    return [[flag, texts[0]], *([f"{flag}={text}"] for text in texts)]
+
+
+def test_both_programs_read_every_setting_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In every spelling; the lines have a spelling of each setting."""
+    known = training_settings()
+    monkeypatch.setattr(flat, "settings", lambda: known)  # plug-ins are read once
+    contents: dict[str, Any] = {}
+    cases: dict[str, list[tuple[dict[str, str], list[str], TrainingSpec]]] = {}
+    for name, setting in known.items():
+        starts = starts_of(setting, contents)
+        tried = ((start, value) for value in values_of(setting, starts[0][1]) for start, _ in starts)
+        start, value, spec = next((*pair, spec) for pair in tried if (spec := spec_with({**pair[0], name: pair[1]})))
+        cases[name] = [(start, words, spec) for words in spellings_of(flag_name(name), value)]
+        if "none" not in choices_of(setting.info)[:-1] and (spec := spec_with({**start, name: None})):
+            cases[name] += [(start, words, spec) for words in spellings_of(flag_name(name), None)]
+    submit_command, parser = get_command(build_app("submit")).commands["submit"], _parser()  # type: ignore[attr-defined]
+    specs: dict[tuple[str, str], TrainingSpec | None] = {}
+    for number in range(max(map(len, cases.values()))):
+        chosen = {name: spellings[number % len(spellings)] for name, spellings in cases.items()}
+        line = [word for _, words, _ in chosen.values() for word in words]
+        params = submit_command.make_context("submit", [*line]).params
+        read = parse_flags(known, {name: params[name] for name in known})
+        assert read == _given(parser.parse_args(["train", "work", *line]))
+        for name, (start, words, spec) in chosen.items():
+            written = (name, repr(read[name]))
+            if written not in specs:
+                specs[written] = spec_with({**start, name: read[name]})
+            assert specs[written] == spec, words
+
+
+def test_both_programs_explain_wrong_values_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Naming the flags that were typed."""
+    contents: dict[str, Any] = {}
+    lines: dict[tuple[str, ...], list[str]] = {}
+    for name, setting in training_settings().items():
+        if setting.info.annotation is bool or setting.choices:  # one switch is enough
+            lines[name if setting.choices else "switch",] = [f"{flag_name(name)}=wrong!"]
+        else:
+            first, _ = starts_of(setting, contents)[0]
+            start = tuple(f"{flag_name(section)}={plugin}" for section, plugin in first.items())
+            lines.setdefault(start, [*start]).append(f"{flag_name(name)}=wrong!")
+    for line in lines.values():
+        wrong = {word.partition("=")[0] for word in line if word.endswith("!")}
+        assert main(["train", str(tmp_path), *line]) == 2
+        explained = capsys.readouterr().err.splitlines()
+        assert {each.partition(":")[0] for each in explained} == wrong
+        with pytest.raises(SystemExit) as ended:
+            naoctl(["submit", "--dry-run", *line])
+        assert ended.value.code == 2
+        assert capsys.readouterr().err == f"naoctl: {'; '.join(explained)}\n"
+
+
+def test_a_word_after_a_switch_may_be_an_argument(tmp_path: Path) -> None:
+    """The same in both programs."""
+    file = tmp_path / "job.yaml"
+    file.write_text("spec: {}\n", encoding="utf-8")
+    for words, value in (([], True), (["false"], False)):
+        line = ["--symmetric-policy", *words, str(file)]
+        done = CliRunner().invoke(build_app("submit"), ["submit", "--dry-run", *line])
+        assert json.loads(done.stdout)["spec"]["algorithm"]["symmetric_policy"] is value
+        options = _parser().parse_args(["train", *line])
+        assert (options.workdir, _given(options)) == (file, {"symmetric_policy": value})
+    options = _parser().parse_args(["evaluate", "--no-deterministic", "sprint", "--episodes", "1k"])
+    assert (options.checkpoint, _given(options)) == ("sprint", {"deterministic": False, "episodes": 1000})
+    flags = get_command(build_app("eval")).commands["eval"].make_context("eval", ["--deterministic", "no", "last"])  # type: ignore[attr-defined]
+    assert (flags.params["job"], flags.params["eval_deterministic"]) == ("last", False)
+
+
+def test_another_seed_moves_those_of_the_stages_along() -> None:
+    recipe = {"seed": 1, "stages": [{"steps": 512, "seed": 121}, {"steps": 512}]}
+    body = make_body({"spec": recipe}, {"seed": "3"}, {})
+    assert [stage.seed for stage in TrainingSpec.model_validate(body["spec"]).stage_specs] == [123, 3]
+
+
+def test_gains_of_several_joints_are_submitted() -> None:
+    body = make_body({}, {"robot": "t1", "kp": '{"legs": 60}'}, {})
+    assert TrainingSpec.model_validate(body["spec"]) == spec_of({"robot": "t1", "kp": '{"legs": 60}'})
+
+
+def test_conditions_are_read_as_the_flags_of_their_settings() -> None:
+    conditions = ["push_steps=1k", "extra_delay_max=NONE", "entry_policies=a,b", "course=true", "unknown=0.5"]
+    assert condition_values(conditions) == {
+        "push_steps": 1000,
+        "extra_delay_max": None,
+        "entry_policies": ["a", "b"],
+        "course": True,
+        "unknown": 0.5,
+    }

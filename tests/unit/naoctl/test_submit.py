@@ -7,6 +7,7 @@ import pytest
 from naoctl.commands.submit import expanded_job, make_body, make_group, parse_moment, parse_seeds, read_recipe
 from naoctl.errors import InvalidInput
 from naospec import EvaluationSpec, TrainingSpec, recipes
+from naospec.flat import nest
 
 
 def test_only_what_the_user_chose_is_sent() -> None:
@@ -41,7 +42,8 @@ def test_the_body_means_the_same_to_the_service() -> None:
 def test_flags_override_a_recipe(name: str) -> None:
     body = make_body(read_recipe(name), {"seed": "9"}, {"eval_episodes": "50"})
     assert body["name"] == name
-    assert body["spec"] == {**make_body(read_recipe(name), {}, {})["spec"], "seed": 9}
+    spec = nest({"seed": 9}, read_recipe(name)["spec"])
+    assert body["spec"] == make_body({**read_recipe(name), "spec": spec}, {}, {})["spec"]
     assert body["evaluation"]["episodes"] == 50
 
 
@@ -181,7 +183,11 @@ def test_a_start_is_a_time_of_day_a_wait_or_a_date(text: str, moment: str) -> No
     assert parse_moment(text, datetime(2026, 3, 1, 12, 0, 0, 500, timezone(timedelta(hours=1)))) == moment
 
 
-@pytest.mark.parametrize("text", ["25:00", "tonight", "99999999999999d", "8 weeks"])
+FAR = ("9999-12-31T23:59:59-12:00", "9000-01-01T00:00:00Z", "3000000d", "0001-01-01T00:00:00+14:00", "1999-12-31")
+"""Times that the service refuses."""
+
+
+@pytest.mark.parametrize("text", ["25:00", "tonight", "99999999999999d", "8 weeks", *FAR])
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(InvalidInput, match="--not-before"):
         parse_moment(text, datetime(2026, 3, 1, tzinfo=UTC))

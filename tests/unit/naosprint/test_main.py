@@ -93,7 +93,7 @@ def test_train_takes_the_job_file_of_the_service(tmp_path: Path, capsys: pytest.
     for content, words in (
         ("seed: 4\n", "seed: no such field of a job"),
         ("parent_job_id: job_1\n", "parent_job_id: jobs are at the service"),
-        ("spec:\n  algorithm: {gamma: 7}\n", "--gamma: "),
+        ("spec:\n  algorithm: {gamma: 7}\n", "job.yaml: spec.algorithm.gamma: "),
     ):
         job.write_text(content, encoding="utf-8")
         assert main(["train", str(tmp_path / "other"), "--spec", str(job)]) != 0
@@ -196,7 +196,9 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed
         (["train", "x", "--task", "swim"], "--task: unknown task 'swim': choose one of "),
         (["train", "x", "--n-envs", "many"], "--n-envs: "),
         (["train", "x", "--min-height-m", "-1"], "--min-height-m: "),
-        (["train", "x", "--batch-size", "7"], "batch_size: 7 does not divide"),
+        (["train", "x", "--batch-size", "7"], "--batch-size: 7 does not divide"),
+        (["train", "x", "--n-envs", "7"], "algorithm.batch_size: 2048 does not divide"),
+        (["train", "x", "--symmetric-policy=maybe"], "--symmetric-policy: expected true or false, got 'maybe'"),
         (["train", "x", "--simulator", "gazebo"], "--simulator: unknown simulator 'gazebo'"),
         (
             ["train", "x", "--simulator", "server", "--n-envs", "2", "--n-steps", "64", "--batch-size", "128"],
@@ -206,6 +208,8 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed
         (["evaluate", "nowhere"], "'nowhere' is neither a checkpoint directory nor a bundled policy"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes: "),
         (["evaluate", "nowhere", "--task", "swim"], "--task: unknown task 'swim'"),
+        (["evaluate", "nowhere", "--task", '{"name": "velocity", "wings": 2}'], "--task: wings: velocity has no such"),
+        (["evaluate", "nowhere", "--deterministic=2"], "--deterministic: expected true or false, got '2'"),
         (["train", "x", "--resume", "nowhere"], "not a checkpoint"),
         (["train", "x", "--resume", "t1-kick"], "--resume: t1-kick is a bundled policy, no training; start from it: "),
         (["report", "nowhere", "page"], "nowhere: no complete evaluation"),

@@ -8,7 +8,10 @@ import sys
 from typing import Annotated, Any
 
 import typer
+from naospec.flags import FlagError, read_switches
 from typer.core import TyperCommand, TyperGroup, TyperOption
+
+from naoctl.errors import InvalidInput
 
 OPTIONS = "Options"
 """Heading above the options that have none of their own."""
@@ -62,6 +65,14 @@ def _summary(command: Any) -> str:
 
 class SettingsCommand(TyperCommand):
     """Command with one option per setting; ``--help`` shows the most used, ``--help-all`` all under headings."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the command line; switches may be followed by true or false. Raises InvalidInput."""
+        switches = [each.opts[0] for each in self.params if _heading(each) and each.secondary_opts]
+        try:
+            return super().parse_args(ctx, read_switches(args, switches, paired=True))
+        except FlagError as error:
+            raise InvalidInput(str(error)) from None
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options to the formatter, grouped by their headings."""

@@ -13,6 +13,7 @@ from naospec.settings import RuntimeSettings
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from pydantic import BaseModel
     from pydantic.fields import FieldInfo
 
     from naospec.sections import Section
@@ -84,6 +85,12 @@ def settings() -> dict[str, Setting]:
             owners = () if everyone else tuple(each.plugins)
             found[name] = Setting(name, (section, each.name), each.info, owners)
     return found | {names[path]: Setting(names[path], path, info) for path, info in outer.items()}
+
+
+def settings_of(model: type[BaseModel], *, leave_out: Iterable[str] = ()) -> dict[str, Setting]:
+    """Return the fields of a specification without sections as settings, by name."""
+    skipped = set(leave_out)
+    return {name: Setting(name, (name,), info) for name, info in model.model_fields.items() if name not in skipped}
 
 
 @dataclass

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import math
 import os
 import signal
 import subprocess
 import sys
 import threading
-import typing
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +18,8 @@ import naopolicies
 from naosim.simulator import STEP_S, ServerLostError
 from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
 from naospec.files import named_errors
-from naospec.flat import nest, settings
+from naospec.flags import ALIASES, FlagError, explain, flag_name, help_text, parse_flags, read_switches
+from naospec.flat import nest, settings, settings_of
 from naospec.job_files import JOB_FIELDS, load_job_file
 from pydantic import ValidationError
 from pydantic_core import PydanticUndefined
@@ -32,7 +31,8 @@ from naosprint.threads import quiet_openmp
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from pydantic.fields import FieldInfo
+    from naospec.flat import Setting
+    from pydantic import BaseModel
 
     from naosprint.rl.reporter import Reporter
 
@@ -42,7 +42,7 @@ MAX_THREADS, MAX_FILM_S = 256, 3600.0
 """Threads of the simulator, and seconds of a film, at most."""
 
 _CHECKPOINT_HELP = "checkpoint directory, or the name of a bundled policy"
-_REPLAY_FIELDS = ("task", "seed", "simulator", "start_noise_deg")
+_REPLAY_FIELDS = {"task", "seed", "simulator", "start_noise_deg"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,17 +51,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # what the terminal's character set has not
+    options = argparse.Namespace(model=TrainingSpec, settings={}, spec=None)
     try:
-        options = _parser().parse_args(arguments)
+        _parser().parse_args(arguments, options)
         run: Callable[[argparse.Namespace], int] = options.run
         # of what is written there, an error of a disk may not name the file
         written = getattr(options, "output", None) or getattr(options, "workdir", None) or Path.cwd()
         with named_errors(written):
             return run(options)
     except ValidationError as error:
-        for problem in error.errors():
-            message = problem["msg"].removeprefix("Value error, ")
-            sys.stderr.write(f"{_flag_at(problem['loc']) or 'error'}: {message}\n")
+        from_flags = {name: options.settings[name] for name in _given(options)}
+        where = f"{options.spec}: spec." if options.spec else ""
+        sys.stderr.writelines(f"{line}\n" for line in explain(options.model, error, from_flags, where=where))
+        return EXIT_USAGE
+    except FlagError as error:
+        sys.stderr.write(f"{error}\n")
         return EXIT_USAGE
     except (OSError, ValueError, MatchError, ServerLostError, plugins.BrokenPluginError) as error:
         sys.stderr.write(f"error: {error}\n")
@@ -70,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="naosprint", description="Train, evaluate, replay and export policies.")
-    commands = parser.add_subparsers(required=True, metavar="command")
+    commands = parser.add_subparsers(required=True, metavar="command", parser_class=_CommandParser)
 
     train = commands.add_parser(
         "train", help="train a policy", description="Train a policy; Ctrl-C saves a checkpoint and ends the training."
@@ -88,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument(
         "--from-policy", metavar="CHECKPOINT", help="start from the weights of this checkpoint or bundled policy"
     )
-    _add_settings(train)
+    _add_settings(train, TrainingSpec, settings(), title="training")
     train.set_defaults(run=_train)
 
     evaluate = commands.add_parser(
@@ -100,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
         "--json", action="store_true", help="print everything as JSON, also what the table leaves out"
     )
     evaluate.add_argument("--threads", type=_threads, default=2, help="threads of the simulator (default: 2)")
-    _add_fields(evaluate, EvaluationSpec.model_fields)
+    _add_settings(evaluate, EvaluationSpec, settings_of(EvaluationSpec), title="evaluation")
     evaluate.set_defaults(run=_evaluate)
 
     examine = commands.add_parser(
@@ -189,7 +193,8 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("output", type=Path, help="directory for the files")
     replay.add_argument("--no-film", action="store_true", help="omit the film, which takes most of the time")
     replay.add_argument("--film-seconds", type=_seconds, metavar="S", help="film the first S seconds (default: all)")
-    _add_fields(replay, {name: EvaluationSpec.model_fields[name] for name in _REPLAY_FIELDS})
+    recorded = settings_of(EvaluationSpec, leave_out=EvaluationSpec.model_fields.keys() - _REPLAY_FIELDS)
+    _add_settings(replay, EvaluationSpec, recorded, title="evaluation")
     replay.set_defaults(run=_replay)
 
     add_parsers(commands, lambda: _stop_on_signals().is_set)
@@ -202,36 +207,36 @@ def _parser() -> argparse.ArgumentParser:
 # --- options and specifications -----------------------------------------------------------------------------------
 
 
-def _add_settings(parser: argparse.ArgumentParser) -> None:
-    """Add an option for every setting of a training's specification, grouped by section."""
+class _CommandParser(argparse.ArgumentParser):
+    """Parser of a command, whose switches may stand alone or be followed by true or false."""
+
+    switches: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Read the command's arguments. Raises FlagError."""
+        return super().parse_known_args(read_switches(args, self.switches, paired=False), namespace)
+
+
+def _add_settings(parser: _CommandParser, model: type[BaseModel], known: Mapping[str, Setting], *, title: str) -> None:
+    """Add an option for every setting of a specification, grouped by section; those without one are under the title."""
     groups: dict[str, Any] = {}
-    for name, setting in settings().items():
-        title = setting.path[0] if len(setting.path) == 2 else "training"
-        if title not in groups:
-            groups[title] = parser.add_argument_group(title)
-        _add_option(groups[title], name, setting.info, choices=setting.choices, owners=setting.plugins)
+    for name, setting in known.items():
+        heading = setting.path[0] if len(setting.path) == 2 else title
+        if heading not in groups:
+            groups[heading] = parser.add_argument_group(heading)
+        text, default = help_text(setting), setting.info.default
+        if default is not None and default is not PydanticUndefined:
+            text += f" (default: {','.join(map(str, default)) if isinstance(default, tuple) else default})"
+        flags, dest = (*ALIASES.get(name, ()), flag_name(name)), f"setting_{name}"
+        groups[heading].add_argument(*flags, dest=dest, metavar="VALUE", help=text.replace("%", "%%"))
+    parser.switches = [flag_name(name) for name, setting in known.items() if setting.info.annotation is bool]
+    parser.set_defaults(model=model, settings=known)
 
 
-def _add_fields(parser: argparse.ArgumentParser, fields: Mapping[str, FieldInfo]) -> None:
-    """Add an option for each of some fields of an evaluation's specification."""
-    group = parser.add_argument_group("evaluation")
-    for name, info in fields.items():
-        _add_option(group, name, info)
-
-
-def _add_option(
-    group: Any, name: str, info: FieldInfo, *, choices: Sequence[str] = (), owners: Sequence[str] = ()
-) -> None:
-    parts = [info.description or info.title or ""]
-    if choices:
-        parts.append(f"One of {', '.join(choices)}.")
-    if owners:
-        parts.append(f"Only {', '.join(owners)}.")
-    if info.default is not None and info.default is not PydanticUndefined:
-        default = ",".join(map(str, info.default)) if isinstance(info.default, tuple) else info.default
-        parts.append(f"(default: {default})")
-    text = " ".join(parts).replace("%", "%%")
-    group.add_argument(_flag(name), dest=f"setting_{name}", metavar="VALUE", help=text)
+def _given(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the settings that were given as options, by short name."""
+    texts = {name: getattr(options, f"setting_{name}") for name in options.settings}
+    return parse_flags(options.settings, {name: text for name, text in texts.items() if text is not None})
 
 
 def _threads(text: str) -> int:
@@ -256,44 +261,6 @@ def _usable(output: Path | None, *, folder: bool) -> None:
     """Make the folder of an output before anything is computed for it. Raises OSError."""
     if output is not None:
         (output if folder else output.parent).mkdir(parents=True, exist_ok=True)
-
-
-def _flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
-
-
-def _given(options: argparse.Namespace, fields: Mapping[str, FieldInfo]) -> dict[str, Any]:
-    """Return the values of the options that were given, by name."""
-    return {
-        name: _parsed(text, info)
-        for name, info in fields.items()
-        if (text := getattr(options, f"setting_{name}", None)) is not None
-    }
-
-
-def _parsed(text: str, info: FieldInfo) -> Any:
-    """Return an option's text as JSON would have it; pydantic checks the value."""
-    if text in ("null", "none"):
-        return None
-    if typing.get_origin(info.annotation) in (tuple, list):
-        return text.replace(",", " ").split()
-    if info.annotation is str:
-        return text
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
-
-
-def _flag_at(place: Sequence[int | str]) -> str:
-    """Return the option that sets what an error is about, or the path of a setting without one."""
-    path = tuple(str(part) for part in place)
-    for name, setting in settings().items():
-        if path in (setting.path, setting.path[:1] if setting.choices else setting.path):
-            return _flag(name)
-    if len(path) == 1 and path[0] in EvaluationSpec.model_fields:
-        return _flag(path[0])
-    return ".".join(path)
 
 
 def _stop_on_signals() -> threading.Event:
@@ -325,7 +292,7 @@ def _job_of(path: Path) -> dict[str, Any]:
 
 
 def _train(options: argparse.Namespace) -> int:
-    given = _given(options, {name: setting.info for name, setting in settings().items()})
+    given = _given(options)
     base: Mapping[str, Any] = {}
     policy = options.from_policy
     if options.recipe is not None or options.spec is not None:
@@ -343,7 +310,7 @@ def _train(options: argparse.Namespace) -> int:
         base = read_manifest(options.resume).spec.model_dump(mode="json")
         fixed = {name: base[name]["name"] for name in ("robot", "task", "algorithm") if name in given}
         if differing := [name for name, value in fixed.items() if given[name] != value]:
-            flag, value = _flag(differing[0]), fixed[differing[0]]
+            flag, value = flag_name(differing[0]), fixed[differing[0]]
             raise ValueError(f"{flag}: a training that is resumed keeps {value}; start another one: --from-policy")
     spec = TrainingSpec.model_validate(nest(given, base))
     for sentence in spec.without_effect():
@@ -391,7 +358,7 @@ def _require_own_folder(workdir: Path, spec: TrainingSpec) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    spec = EvaluationSpec.model_validate(_given(options, EvaluationSpec.model_fields))
+    spec = EvaluationSpec.model_validate(_given(options))
     checkpoint = naopolicies.resolve(options.checkpoint)
     _usable(options.output, folder=True)
     stop = _stop_on_signals()
@@ -570,7 +537,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    spec = EvaluationSpec.model_validate({**_given(options, EvaluationSpec.model_fields), "episodes": 1})
+    spec = EvaluationSpec.model_validate({**_given(options), "episodes": 1})
     checkpoint = naopolicies.resolve(options.checkpoint)
     _usable(options.output, folder=True)
 

@@ -16,6 +16,8 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 from naospec import EvaluationSpec
+from naospec.flags import parse_flags, read_value
+from pydantic.fields import FieldInfo
 from rich.progress import (
     BarColumn,
     DownloadColumn,
@@ -44,7 +46,7 @@ from naoctl.follow import ENDED
 from naoctl.help import SettingsCommand
 from naoctl.policies import Trained, checkpoint_folder, find_trained, folder_name
 from naoctl.render import ago, cell, listing, pairs, size, stall_text, state_text
-from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
+from naoctl.specflags import build, spec_parameters, training_settings, with_parameters
 from naoctl.transfer import RemoteFile, fetch
 
 REPORT_PAGE = "report.html"
@@ -473,20 +475,18 @@ def evaluate(
 
 
 def condition_values(conditions: Sequence[str] | None) -> dict[str, Any]:
-    """Return settings of a task by name, numbers where they are numbers.
+    """Return settings of a task by name, read as their flags are; those of tasks that are only at the service, as JSON.
 
     Raises:
         InvalidInput: if one is not NAME=VALUE.
     """
+    known = {setting.path[1]: setting.info for setting in training_settings().values() if setting.path[0] == "task"}
     found: dict[str, Any] = {}
     for text in conditions or ():
         name, sign, value = text.partition("=")
         if not sign or not name:
             raise InvalidInput(f"--with: {text!r} is not NAME=VALUE", fix="Write for example --with friction_min=0.6.")
-        try:
-            found[name] = json.loads(value)
-        except ValueError:
-            found[name] = value
+        found[name] = read_value(value, known.get(name, FieldInfo(annotation=Any)))
     return found
 
 

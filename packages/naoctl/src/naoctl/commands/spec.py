@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from naospec import EvaluationSpec, TrainingSpec, plugins, presets
 from naospec.abilities import need_of, switches_of
+from naospec.flags import choices_of, flag_name, limits_text, metavar
 from naospec.flat import GROUPS, Setting
 from pydantic import ValidationError
 from rich.console import Console
@@ -19,7 +20,7 @@ from naoctl.context import JsonFlag, completions, context_of
 from naoctl.errors import InvalidInput
 from naoctl.help import page
 from naoctl.render import MISSING, pairs
-from naoctl.specflags import choices_of, flag_name, limits_text, metavar, training_settings
+from naoctl.specflags import training_settings
 
 SECTIONS = (*GROUPS, "training", "runtime", "evaluation")
 """Groups of settings, in the order of the list."""

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import naopolicies
 import typer
+from naospec.flags import expanded, read_value
 from naospec.search import SearchSpec
 from pydantic import ValidationError
 
@@ -32,7 +33,7 @@ from naoctl.context import JsonFlag, complete_job, context_of, find_job, find_li
 from naoctl.errors import InvalidInput, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
 from naoctl.render import MISSING, ago, cell, listing, pairs
-from naoctl.specflags import expanded, parse_flags, spec_parameters, training_settings, with_parameters
+from naoctl.specflags import spec_parameters, training_settings, with_parameters
 
 app = typer.Typer(
     help="List, show, extend, cancel and delete studies; take and report trials that run elsewhere.",
@@ -194,25 +195,10 @@ def _parameter(field: str, text: str, known: dict[str, Any]) -> dict[str, Any]:
             raise InvalidInput(f"--space {field}={text}: {field} is a whole number", fix="For example 5..20.")
         kind: Any = int if whole else float
         return {"type": kind.__name__, "low": kind(low), "high": kind(high), "log": scale == "log"}
-    values = [parse_flags(known, {field: item.strip()})[field] for item in text.split("|") if item.strip()]
+    values = [read_value(item, known[field].info) for item in text.split("|") if item.strip()]
     if len(values) < 2:
         raise InvalidInput(f"--space {field}={text} is neither LOW..HIGH nor A|B", fix=_SPACE_EXAMPLE)
-    return {"type": "choice", "choices": [_typed(value) for value in values]}
-
-
-def _typed(value: Any) -> Any:
-    """Return the number or the truth value that a text stands for, else the text."""
-    if isinstance(value, list):
-        return [_typed(item) for item in value]
-    words = {"true": True, "false": False}
-    if value is None or value in words:
-        return words.get(value)
-    for kind in (int, float):
-        try:
-            return kind(value)
-        except ValueError:
-            continue
-    return value
+    return {"type": "choice", "choices": values}
 
 
 def find_study(client: Client, reference: str) -> dict[str, Any]:
@@ -399,9 +385,7 @@ def delete_study(ctx: typer.Context, study: Reference, as_json: JsonFlag = False
 
 def register(application: typer.Typer) -> None:
     """Add the commands, ``tune`` with one flag per setting of the specifications."""
-    training = spec_parameters(
-        training_settings(), panel="Training", aliases={"total_steps": ["--steps"]}, shown=COMMON_SETTINGS
-    )
+    training = spec_parameters(training_settings(), panel="Training", shown=COMMON_SETTINGS)
     evaluation = spec_parameters(
         EVALUATION_SETTINGS, panel="Evaluation", prefix=EVAL_PREFIX, shown=COMMON_EVALUATION_SETTINGS
     )

@@ -7,14 +7,15 @@ import math
 import re
 import uuid
 from collections.abc import Container, Mapping
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
 import naopolicies
 import typer
 from naospec import EvaluationSpec, TrainingSpec, flat, recipes
-from naospec.flat import Setting
+from naospec.flags import flag_name, parse_flags
+from naospec.flat import Setting, settings_of
 from naospec.job_files import JOB_FIELDS, JobFileError, load_job_file
 from pydantic import TypeAdapter
 
@@ -26,15 +27,7 @@ from naoctl.descriptions import section_name
 from naoctl.errors import InvalidInput, Unreachable, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
 from naoctl.render import SHORT_ID
-from naoctl.specflags import (
-    build,
-    flag_name,
-    parse_flags,
-    settings_of,
-    spec_parameters,
-    training_settings,
-    with_parameters,
-)
+from naoctl.specflags import build, spec_parameters, training_settings, with_parameters
 
 EVAL_PREFIX = "eval_"
 EVALUATION_SETTINGS = settings_of(EvaluationSpec, leave_out=["task"])
@@ -54,6 +47,8 @@ COMMON_SETTINGS = (
 COMMON_EVALUATION_SETTINGS = ("episodes",)
 MAX_SEEDS = 256
 """Largest number of seeds in one range of ``--seeds``."""
+EARLIEST, LATEST = datetime(2000, 1, 1, tzinfo=UTC), datetime(9000, 1, 1, tzinfo=UTC)
+"""Bounds of the times that the service takes."""
 SUBMIT_ATTEMPTS = 3
 """Attempts to submit a job when the answer is lost; the idempotency key prevents a second job."""
 
@@ -341,7 +336,9 @@ def _only_given(checked: dict[str, Any], given: dict[str, Any]) -> dict[str, Any
     kept = {}
     for name, value in given.items():
         inner = checked[name]
-        kept[name] = _only_given(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else inner
+        # a mapping may be written shorter than it is kept, as gains of `legs` are those of their joints
+        nested = isinstance(inner, dict) and isinstance(value, dict) and value.keys() <= inner.keys()
+        kept[name] = _only_given(inner, value) if nested else inner
     return kept
 
 
@@ -453,20 +450,25 @@ def parse_moment(text: str, now: datetime) -> str:
     """Return a time as the service reads it: of ``22:00`` the next one, ``8h`` or ``30min`` from now, or a date.
 
     Raises:
-        InvalidInput: if it is none of these.
+        InvalidInput: if it is none of these, or a year is far from now.
     """
     fix = "Write 22:00, 2026-12-01T06:00, 8h or 30min."
     try:
         if found := re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h|d)", text):
             unit = {"min": "minutes", "h": "hours", "d": "days"}[found[2]]
-            return (now + timedelta(**{unit: float(found[1])})).isoformat(timespec="seconds")
-        if re.fullmatch(r"\d{1,2}:\d{2}", text):
+            moment = (now + timedelta(**{unit: float(found[1])})).replace(microsecond=0)
+        elif re.fullmatch(r"\d{1,2}:\d{2}", text):
             moment = now.replace(hour=int(text[:-3]), minute=int(text[-2:]), second=0, microsecond=0)
-            return (moment if moment > now else moment + timedelta(days=1)).isoformat()
-        given = datetime.fromisoformat(text)
+            moment = moment if moment > now else moment + timedelta(days=1)
+        else:
+            given = datetime.fromisoformat(text)
+            moment = given if given.tzinfo else given.replace(tzinfo=now.tzinfo)
     except (ValueError, OverflowError):
         raise InvalidInput(f"--not-before {text!r} is no time", fix=fix) from None
-    return (given if given.tzinfo else given.replace(tzinfo=now.tzinfo)).isoformat()
+    if not EARLIEST <= moment < LATEST:
+        words = f"--not-before {text!r} is not from the year {EARLIEST.year} to the year {LATEST.year - 1}"
+        raise InvalidInput(words, fix=fix)
+    return moment.isoformat()
 
 
 def hand_in(client: Client, path: str, body: dict[str, Any], key: str | None) -> dict[str, Any]:
@@ -484,9 +486,7 @@ def hand_in(client: Client, path: str, body: dict[str, Any], key: str | None) ->
 
 def register(app: typer.Typer) -> None:
     """Add the command, with one flag per setting of the specifications."""
-    training = spec_parameters(
-        training_settings(), panel="Training", aliases={"total_steps": ["--steps"]}, shown=COMMON_SETTINGS
-    )
+    training = spec_parameters(training_settings(), panel="Training", shown=COMMON_SETTINGS)
     evaluation = spec_parameters(
         EVALUATION_SETTINGS, panel="Evaluation", prefix=EVAL_PREFIX, shown=COMMON_EVALUATION_SETTINGS
     )
