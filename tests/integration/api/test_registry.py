@@ -12,6 +12,7 @@ import httpx
 import naopolicies
 import pytest
 from naojobs import outcomes, policies, records, studies, submission
+from naojobs.errors import NotFoundError
 from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Job, PolicyRecord, Study
 from naojobs.promotion import MAX_ALIASES
@@ -20,6 +21,7 @@ from naojobs.retention import Retention, prune_checkpoints
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore
 from naospec import EvaluationSpec, TrainingSpec
+from naosprint_api import cards
 from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -499,6 +501,23 @@ def test_a_requirement_that_nothing_could_meet_is_refused(
     answer = client.put(f"/policies/{name}/aliases/best/requirements", json=body)
     assert answer.status_code == 422, answer.text
     assert message in answer.text
+
+
+def test_a_policy_that_is_deleted_meanwhile_is_not_found(
+    client: httpx.Client, name: str, train: Callable[..., Any], sessions: Sessions
+) -> None:
+    """The request has found it, and comes to its versions after its deletion and that of its job."""
+    lease, (checkpoint,) = train(1024)
+    register(client, name, lease, checkpoint)
+    with sessions() as session:
+        found = policies.find(session, PolicyRecord.owner == "alice", name)
+    client.delete(f"/policies/{name}").raise_for_status()
+    with pytest.raises(NotFoundError, match=name):
+        policies.require(sessions, found[0].id, "best", [])
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
+    client.delete(f"/jobs/{lease.job_id}").raise_for_status()
+    with pytest.raises(NotFoundError, match=name):
+        cards.version_details(sessions, *found)
 
 
 def test_only_its_owner_sets_what_an_alias_requires(

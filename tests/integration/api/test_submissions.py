@@ -78,6 +78,35 @@ def test_all_work_names_the_field_that_is_wrong(client: httpx.Client, paths: dic
         assert refused["errors"][0]["field"].startswith(place_of(kind, field))
 
 
+@pytest.mark.parametrize(
+    "moment",
+    [
+        "9999-12-31T23:59:59-12:00",
+        "9999-12-31T23:59:59Z",
+        "9000-01-01T00:00:00Z",
+        "1999-12-31T23:59:59Z",
+        "0001-01-01T00:00:00+14:00",
+    ],
+)
+@pytest.mark.parametrize("kind", ["jobs", "groups", "studies", "evaluations", "matches"])
+def test_a_start_is_a_time_that_exists_in_every_zone(
+    client: httpx.Client, paths: dict[str, str], kind: str, moment: str
+) -> None:
+    refused = problem(client.post(paths[kind], json=body_of(kind, not_before=moment)), 422)
+    assert [each["field"] for each in refused["errors"]] == [place_of(kind, "not_before")]
+    assert "from the year 2000 to the year 8999" in refused["detail"]
+
+
+def test_a_start_is_stored_in_utc(client: httpx.Client) -> None:
+    """So that a repeated request is equal whatever zone it names."""
+    answers = [
+        client.post("/jobs", json={"not_before": moment}, headers={"Idempotency-Key": "zones"})
+        for moment in ("8999-12-31T23:59:59Z", "9000-01-01T13:59:59+14:00")
+    ]
+    assert [answer.status_code for answer in answers] == [201, 200]
+    assert {answer.json()["not_before"] for answer in answers} == {"8999-12-31T23:59:59Z"}
+
+
 @pytest.mark.parametrize("kind", ["jobs", "groups", "studies"])
 def test_a_wrong_job_is_named_where_it_stands(client: httpx.Client, paths: dict[str, str], kind: str) -> None:
     unknown = {"parent_job_id": "job_00000000000000000000000000"}

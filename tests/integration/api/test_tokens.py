@@ -59,6 +59,25 @@ def test_only_an_admin_may(make_client: Callable[..., httpx.Client], admin: http
     assert token not in mallory.get("/tokens").text
 
 
+def test_a_token_revokes_none_with_more_scopes(make_client: Callable[..., httpx.Client], sessions: Sessions) -> None:
+    """Of its own owner; it may revoke those with the same or fewer, and itself."""
+    made = {
+        scope: create_token(sessions, name="", owner="nina", scopes=[Scope(scope)])[0]
+        for scope in ("read", "submit", "metrics", "admin")
+    }
+    nina = make_client("nina", "submit")
+    (own,) = (token["id"] for token in nina.get("/tokens").json()["items"] if token["id"] not in made.values())
+    for scope in ("metrics", "admin"):
+        answer = nina.delete(f"/tokens/{made[scope]}")
+        assert (answer.status_code, scope in answer.json()["detail"]) == (403, True), answer.text
+        assert get_token(sessions, made[scope]).revoked_at is None
+    for token_id in (made["read"], made["submit"], own):
+        assert nina.delete(f"/tokens/{token_id}").status_code == 204
+    assert nina.get("/tokens").status_code == 401
+    root = make_client("root", "admin")
+    assert [root.delete(f"/tokens/{made[scope]}").status_code for scope in ("metrics", "admin")] == [204, 204]
+
+
 def test_a_user_shares_all_own_jobs_with_a_read_token(make_client: Callable[..., httpx.Client], api: Any) -> None:
     erin = make_client("erin", "submit")
     job = erin.post("/jobs", json={"name": "shared"}).json()["id"]

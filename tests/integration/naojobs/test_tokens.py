@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from functools import partial
 
 import pytest
-from naojobs.models import Token
+from naojobs.errors import NotFoundError
+from naojobs.models import Job, Token
+from naojobs.submission import JobRequest, submit
 from naojobs.tokens import KEEP, Scope, create_token, forget, list_tokens, revoke, verify
 from sqlalchemy import text, update
 from sqlalchemy.orm import Session, sessionmaker
@@ -58,3 +62,19 @@ def test_tokens_are_forgotten_a_month_after_their_end(sessions: Sessions) -> Non
 def test_a_token_needs_an_owner_and_a_scope(sessions: Sessions, owner: str, scopes: list[Scope]) -> None:
     with pytest.raises(ValueError, match=r"^(owner|scopes): give"):
         create_token(sessions, name="", owner=owner, scopes=scopes)
+
+
+def test_a_token_of_a_job_that_is_being_deleted_finds_none(sessions: Sessions) -> None:
+    job_id = submit(sessions, JobRequest(), owner="dora")[0].id
+    make = partial(create_token, sessions, name="", owner="dora", scopes=[Scope.READ], job_id=job_id)
+    make()
+    with ThreadPoolExecutor(1) as pool:
+        with sessions.begin() as session:
+            session.delete(session.get_one(Job, job_id))
+            session.flush()
+            token = pool.submit(make)
+            while not session.scalar(text("SELECT count(*) FROM pg_locks WHERE NOT granted")):
+                assert not token.done(), "it did not wait"
+        with pytest.raises(NotFoundError, match=job_id):
+            token.result(30)
+    assert list_tokens(sessions, "dora") == []

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import httpx
+import psycopg
 import pytest
 from naojobs import leases, outcomes, requests, studies
 from naojobs.errors import ConflictError, InvalidError
@@ -25,6 +26,7 @@ from naospec.flat import nest
 from naospec.search import SearchSpec
 from naosprint_worker.studies import Conductor
 from sqlalchemy import select, text
+from sqlalchemy.exc import InternalError
 
 from tests.integration.attempts import claim_work
 from tests.integration.conftest import as_role
@@ -87,6 +89,42 @@ def test_a_study_that_cannot_be_advanced_fails_and_keeps_no_other_from_advancing
     studies.extend_study(service.sessions, broken.id, 5)
     assert conductor.advance_all()
     assert len(study_of(service, broken.id)[1]) == 2
+
+
+def test_a_pass_takes_no_id_of_optuna(service: Service, conductor: Conductor) -> None:
+    """Its sequence has 32 bits, and a study that runs for weeks is advanced every second."""
+
+    def last() -> object:
+        with service.sessions() as session:
+            return session.scalar(text("SELECT last_value FROM optuna.studies_study_id_seq"))
+
+    study = start(service)
+    assert conductor.advance(study.id)
+    first = last()
+    assert not any(conductor.advance(study.id) for _ in range(3))
+    assert last() == first
+
+
+def test_an_error_of_optuna_s_storage_ends_no_study(service: Service, conductor: Conductor) -> None:
+    """Its connections, which are new ones, reach a server that is read-only after a failover."""
+    study = start(service, parallel=2)
+    assert conductor.advance_all()
+    ended, running = (str(trial.job_id) for trial in study_of(service, study.id)[1])
+    requests.request_cancel(service.sessions, Job, ended)
+    change = f"ALTER DATABASE {service.engine.url.database} {{}} default_transaction_read_only {{}}"
+    with psycopg.connect(service.postgres.url("postgres"), autocommit=True) as connection:
+        connection.execute(change.format("SET", "= on").encode())
+        try:
+            with pytest.raises(InternalError, match="read-only"):  # ours would be an OperationalError
+                conductor.advance_all()
+        finally:
+            connection.execute(change.format("RESET", "").encode())
+    study, trials = study_of(service, study.id)
+    assert (study.state, [trial.state for trial in trials]) == (StudyState.RUNNING, [TrialState.RUNNING] * 2)
+    assert service.job(running).state is WorkState.QUEUED
+    assert conductor.advance_all()
+    states = [trial.state for trial in study_of(service, study.id)[1]]
+    assert states == [TrialState.FAILED, TrialState.RUNNING, TrialState.RUNNING]
 
 
 @pytest.fixture

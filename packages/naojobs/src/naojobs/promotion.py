@@ -19,7 +19,7 @@ from pydantic_core import PydanticCustomError
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from naojobs.errors import ConflictError, InvalidError
+from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.models import Evaluation, Match, PolicyAlias, PolicyRecord, PolicyVersion
 from naojobs.states import WorkState
 
@@ -93,10 +93,13 @@ def require(session: Session, policy: PolicyRecord, alias: str, requirements: Se
     Raises:
         InvalidError: if the policy's task has not the result or the settings of a condition, if its robot cannot meet
             it, or if `MAX_ALIASES` others have requirements.
+        NotFoundError: if all versions were deleted.
     """
-    newest = session.scalars(
+    newest = session.scalar(
         select(PolicyVersion).where(PolicyVersion.policy_id == policy.id).order_by(PolicyVersion.number.desc()).limit(1)
-    ).one()
+    )
+    if newest is None:
+        raise NotFoundError(f"there is no policy {policy.name!r}")
     trained = read_stored(TrainingSpec, newest.spec)
     task, family = plugins.load(plugins.TASKS, trained.stage_specs[-1].task.name), trained.stage_specs[-1].family
     metrics = {metric.name: metric for metric in (*task.metrics, *for_family(family, task.results))}

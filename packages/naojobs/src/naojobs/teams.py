@@ -7,22 +7,23 @@ import io
 import json
 import posixpath
 import tarfile
-from typing import Literal
+from typing import Any, Literal
 from zlib import error as ZlibError
 
 import naopolicies
 from naospec import TrainingSpec, read_stored
 from naospec.teams import EXAMPLE, ROBOT, SKILLS, TEAM_FILE, example_name, no_team_file, skills_of, team_command
 from pydantic import BaseModel, ConfigDict, ValidationError
-from sqlalchemy import select
+from sqlalchemy import func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
+from sqlalchemy.sql.functions import Function
 
 from naojobs import policies
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
-from naojobs.models import Checkpoint, Job, Match, PolicyRecord, TeamRecord
+from naojobs.models import Match, PolicyRecord, TeamRecord
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import OPEN
 from naojobs.store import ArtifactStore, StoreManifest, team_key
@@ -69,12 +70,13 @@ class MatchSpec(BaseModel):
 
 
 def find_team(session: Session, owner: str, text: str, field: str) -> MatchTeam:
-    """Return the team that an owner names.
+    """Return the team that an owner names; a deletion of what it needs waits until the transaction has ended.
 
     Raises:
         InvalidError: for ``field``, with what to write.
     """
     if text.partition(":")[0] != EXAMPLE:
+        session.execute(select(func.pg_advisory_xact_lock_shared(_key(owner))))
         found = session.scalar(select(TeamRecord).where(TeamRecord.owner == owner, TeamRecord.name == text))
         if found is None:
             known = session.scalars(select(TeamRecord.name).where(TeamRecord.owner == owner).order_by(TeamRecord.name))
@@ -91,6 +93,11 @@ def find_team(session: Session, owner: str, text: str, field: str) -> MatchTeam:
     return MatchTeam(name=name, identity=example_name(used), policies=used)
 
 
+def _key(owner: str) -> Function[Any]:
+    """Return the key of the lock on an owner's teams."""
+    return func.hashtextextended(f"teams:{owner}", 0)
+
+
 def _policy(session: Session, owner: str, skill: str, reference: str, field: str) -> tuple[str, str]:
     """Return the reference of the policy of a skill, and its name or checkpoint. Raises InvalidError."""
     if reference in naopolicies.names():
@@ -98,14 +105,11 @@ def _policy(session: Session, owner: str, skill: str, reference: str, field: str
         document = naopolicies.spec(reference)
     else:
         try:
-            policy, version = policies.find(session, PolicyRecord.owner == owner, reference)
+            policy, version = policies.find(session, PolicyRecord.owner == owner, reference, keep=True)
         except NotFoundError as error:
             known = ", ".join(name for name in naopolicies.names() if name.startswith(ROBOT))
             raise InvalidError(f"{skill}: {error}; bundled policies are {known}", field) from None
         shown, used, document = f"{policy.name}@{version.number}", version.checkpoint_id, version.spec
-        # The lock keeps the checkpoint from being deleted before the match is stored, which protects it from then on.
-        of_checkpoint = select(Checkpoint.job_id).where(Checkpoint.id == used).scalar_subquery()
-        session.execute(select(Job.id).where(Job.id == of_checkpoint).with_for_update(read=True))
     try:
         spec = read_stored(TrainingSpec, document).stage_specs[-1]
     except ValidationError:
@@ -248,6 +252,7 @@ def delete_team(sessions: Sessions, owner: str, name: str) -> str:
     Raises NotFoundError, and ConflictError if an open match needs it.
     """
     with sessions.begin() as session:
+        session.execute(select(func.pg_advisory_xact_lock(_key(owner))))
         wanted = select(TeamRecord).where(TeamRecord.owner == owner, TeamRecord.name == name)
         team = session.scalar(wanted)
         if team is None:

@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, NotFoundError
 from naojobs.ids import new_id
-from naojobs.models import Token
+from naojobs.models import Job, Token
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.scopes import Scope
 
@@ -82,7 +82,8 @@ def create_token(
     """Make a token, of one job if `job_id` is given; return its id and the secret, which cannot be read again.
 
     One made with the token `parent_id` is revoked with it and expires no later. Raises ConflictError if that token is
-    not valid any more, and QuotaError if `owner` has as many tokens as `limits` allow.
+    not valid any more, NotFoundError if there is no such job, and QuotaError if `owner` has as many tokens as `limits`
+    allow.
     """
     if not scopes:
         raise ValueError(f"scopes: give at least one of {', '.join(Scope)}")
@@ -96,6 +97,10 @@ def create_token(
             parent = hold(session, parent_id)
             expires_at = func.least(expires_at, parent.expires_at) if parent.expires_at is not None else expires_at
         require_room(session, owner, limits, Quota.TOKENS)
+        if job_id is not None:
+            job = select(Job.id).where(Job.id == job_id).with_for_update(read=True, key_share=True)
+            if session.scalar(job) is None:
+                raise NotFoundError(f"no job {job_id}")
         session.add(
             Token(
                 id=token_id,

@@ -9,6 +9,7 @@ from typing import Any
 
 import naopolicies
 from naojobs.database import Sessions
+from naojobs.errors import NotFoundError
 from naojobs.models import Checkpoint, PolicyRecord, PolicyVersion
 from naojobs.policies import aliases_of
 from naojobs.promotion import requirements_of
@@ -117,10 +118,12 @@ def version_page(sessions: Sessions, policy: PolicyRecord, *, limit: int, before
 
 
 def version_details(sessions: Sessions, policy: PolicyRecord, version: PolicyVersion) -> PolicyDetails:
-    """Return a version of a registered policy with its specification and its files."""
+    """Return a version of a registered policy with its specification and its files. Raises NotFoundError."""
     with sessions.begin() as session:
         (card,) = _cards(session, [(policy, version)])
-        checkpoint = session.get_one(Checkpoint, version.checkpoint_id)
+        checkpoint = session.get(Checkpoint, version.checkpoint_id)
+    if checkpoint is None:  # the version was deleted meanwhile, and then its job
+        raise NotFoundError(f"policy {policy.name} has no version {version.number}")
     files = files_view(StoreManifest.model_validate(checkpoint.manifest), f"/checkpoints/{checkpoint.id}")
     required = {alias: requirements_of(policy, alias) for alias in policy.requirements}
     return PolicyDetails(**dict(card), spec=version.spec, files=files, requirements=required)

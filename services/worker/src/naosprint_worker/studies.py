@@ -33,7 +33,7 @@ from sqlalchemy import func, select, text
 from sqlalchemy.orm import Session
 
 from naosprint_worker import population
-from naosprint_worker.database import DATABASE_ERRORS
+from naosprint_worker.database import outage_of
 from naosprint_worker.population import Start
 from naosprint_worker.retry import describe
 
@@ -66,7 +66,8 @@ class Conductor:
         """Advance every running study by one pass; return whether jobs were queued.
 
         One that cannot be advanced fails, and keeps no other from advancing. Each pass has an order of its own, so that
-        a study for which the database takes too long does not either.
+        a study for which the database takes too long does not either. An error of the database ends no study: it is
+        raised, and the next pass continues.
         """
         with self._sessions() as session:
             running = session.scalars(
@@ -77,8 +78,8 @@ class Conductor:
             try:
                 queued = self.advance(study_id) or queued
             except Exception as error:
-                if isinstance(error, DATABASE_ERRORS) or isinstance(error.__cause__, DATABASE_ERRORS):
-                    raise
+                if (outage := outage_of(error)) is not None:
+                    raise outage from outage.__cause__  # the driver's
                 logger.exception("study %s cannot be advanced", study_id)
                 self._give_up(study_id, error)
         return queued
@@ -161,15 +162,18 @@ class _Pass:
         self._rows = {trial.number: trial for trial in studies.trials_of(session, study.id)}
         job_ids = [trial.job_id for trial in self._rows.values() if trial.job_id is not None]
         self._jobs = {job.id: job for job in session.scalars(select(Job).where(Job.id.in_(job_ids)))}
+        parts: dict[str, Any] = {
+            "storage": storage,
+            "study_name": study.id,
+            "sampler": self._sampler(),
+            "pruner": _pruner(self._search.pruning),
+        }
         with _quiet():
-            self._study = optuna.create_study(
-                storage=storage,
-                study_name=study.id,
-                directions=[objective.direction or "maximize" for objective in self._search.objectives],
-                load_if_exists=True,
-                sampler=self._sampler(),
-                pruner=_pruner(self._search.pruning),
-            )
+            try:
+                self._study = optuna.load_study(**parts)
+            except KeyError:  # a creation of one that is there takes an id and is an error in the server's log
+                directions = [objective.direction or "maximize" for objective in self._search.objectives]
+                self._study = optuna.create_study(directions=directions, load_if_exists=True, **parts)
 
     def run(self) -> tuple[dict[str, str], bool]:
         """Return the jobs to prune with the reasons, and whether jobs were queued."""

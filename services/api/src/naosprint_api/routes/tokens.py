@@ -57,9 +57,15 @@ def show_tokens(principal: Submitter, service: ServiceDep, limit: PageLimit = 50
 
 @router.delete("/tokens/{token_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))
 def revoke_token(token_id: TokenId, principal: Submitter, service: ServiceDep) -> None:
-    """Revoke a token and those that were made with it; they stay in the list. Other users' tokens need scope admin."""
-    if not principal.is_admin and get_token(service.reads, token_id).owner != principal.owner:
+    """Revoke a token and those that were made with it; they stay in the list.
+
+    A token revokes those that have no scope beyond its own, itself among them. Other users' tokens need scope admin.
+    """
+    token = get_token(service.reads, token_id)
+    if not principal.is_admin and token.owner != principal.owner:
         raise NotFoundError(f"no token {token_id}")
+    for scope in token.scopes:
+        require(Scope(scope), principal, service)
     revoke(service.sessions, token_id)
     service.principals.forget()
     _log.info("%s (%s) revoked token %s", principal.owner, principal.token_id, token_id)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Annotated, Any, Generic, Literal, Self, TypeVar
 
 from naospec import formats
-from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
+from pydantic import AfterValidator, AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
 
 from naosprint_api.patterns import ID, TAG
 
@@ -23,6 +24,18 @@ def _current(spec: dict[str, Any]) -> dict[str, Any]:
 TrainingDocument = Annotated[dict[str, Any], BeforeValidator(_current)]
 
 Id = Annotated[str, StringConstraints(pattern=ID)]
+
+
+def _in_utc(moment: datetime) -> datetime:
+    if not EARLIEST <= moment < LATEST:
+        raise ValueError(f"expected a time from the year {EARLIEST.year} to the year {LATEST.year - 1}")
+    return moment.astimezone(UTC)
+
+
+EARLIEST, LATEST = datetime(2000, 1, 1, tzinfo=UTC), datetime(9000, 1, 1, tzinfo=UTC)
+"""Bounds of the times that clients give: all within them exist in every time zone and in the database."""
+Moment = Annotated[AwareDatetime, AfterValidator(_in_utc)]
+"""Time with its zone."""
 
 
 EvaluationState = Literal["queued", "starting", "running", "succeeded", "failed", "cancelled"]
@@ -49,7 +62,7 @@ class WorkCreate(RequestBody):
         description="Tags: letters, digits and ._:/=- (at most 50 characters each).",
     )
     priority: int = Field(5, ge=0, le=9, description="0 to 9; work with a higher priority starts first.")
-    not_before: AwareDatetime | None = Field(
+    not_before: Moment | None = Field(
         None, description="Earliest start, with its time zone; left out: as soon as a worker is free."
     )
     max_attempts: int = Field(3, ge=1, le=10, description="Attempts that may be lost before it fails.")
