@@ -139,7 +139,7 @@ from naosim.simspark import RCSSSERVER3D, RemoteBatch, embedded_launcher
 launcher = ProcessLauncher(RCSSSERVER3D, (sys.argv[1],)) if sys.argv[1:] else embedded_launcher()
 remote = RemoteBatch(launcher, 2)
 print(*(handle.pid for handle in remote._handles), flush=True)
-print(*(handle._home for handle in remote._handles), flush=True)
+print(*(handle.folder for handle in remote._handles), flush=True)
 sys.stdin.read()
 """
 

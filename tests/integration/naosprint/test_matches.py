@@ -22,9 +22,9 @@ from naosprint.matches.teams import Team, read_team
 
 pytestmark = pytest.mark.timeout(600)  # seconds of play on servers that share a busy machine
 
-CRASHING = """
-import socket, sys
-host, port, team, number = sys.argv[1:5]
+FAILING = """
+import signal, socket, sys
+host, port, team, number, *ending = sys.argv[1:]
 def send(text):
     server.sendall(len(text).to_bytes(4, "big") + text.encode())
 server = socket.create_connection((host, int(port)))
@@ -34,7 +34,7 @@ while True:
     size = int.from_bytes(server.recv(4, socket.MSG_WAITALL), "big")
     played += b"BeforeKickOff" not in server.recv(size, socket.MSG_WAITALL)
     if number == "2" and played == 50:
-        raise RuntimeError("the knee is broken")
+        exec(ending[0])
     send("(he1 0 0 20 1 0)")
 """
 
@@ -63,10 +63,10 @@ def test_a_match_of_the_example_team_and_its_report(tmp_path: Path, capsys: pyte
     assert results["means"][0]["lost_players"] == 0.0
 
 
-def write_team(folder: Path, program: str) -> Path:
+def write_team(folder: Path, program: str, *more: str) -> Path:
     folder.mkdir()
     (folder / "player.py").write_text(program)
-    command = ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}"]
+    command = ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}", *more]
     (folder / "team.json").write_text(json.dumps({"command": command}))
     return folder
 
@@ -92,10 +92,7 @@ for player in first or [f"{team} {number}"]:
 
 def entering(folder: Path, *first: str) -> Team:
     """Return a team whose agents stand, and enter first as other players if some are named."""
-    write_team(folder, ENTERING)
-    content = json.loads((folder / "team.json").read_text())
-    (folder / "team.json").write_text(json.dumps({"command": [*content["command"], *first]}))
-    return read_team(folder)
+    return read_team(write_team(folder, ENTERING, *first))
 
 
 def test_an_agent_enters_as_its_own_player_alone(tmp_path: Path) -> None:
@@ -132,16 +129,27 @@ def test_a_robot_that_is_no_agents_ends_the_game(
     assert began[0].wait(30) == 0
 
 
-def test_an_agent_that_crashes_loses_its_player_and_not_the_match(tmp_path: Path) -> None:
-    team = read_team(write_team(tmp_path / "crashing", CRASHING))
-    settings = GameSettings(players=2, half_s=4.0)
+@pytest.mark.parametrize(
+    ("ending", "reason", "half_s"),
+    [
+        ("raise RuntimeError('the knee is broken')", "the knee is broken", 4.0),
+        ("signal.pause()", "dropped by the server after 5 s without a message", 2.0),
+    ],
+    ids=["crash", "hang"],
+)
+def test_an_agent_that_fails_loses_its_player_and_not_the_match(
+    ending: str, reason: str, half_s: float, tmp_path: Path
+) -> None:
+    team = read_team(write_team(tmp_path / "failing", FAILING, ending))
+    settings = GameSettings(players=2, half_s=half_s)
     (log,) = play_match((team, team), ("a", "a"), 1, settings, tmp_path / "logs")
     results = match_results([log])
     assert results["teams"] == ["a 1", "a 2"]
     assert [means["lost_players"] for means in results["means"]] == [1.0, 1.0]
-    lost = log.notes["halves"][0]["lost"]
-    assert {each["number"] for each in lost} == {2}
-    assert all("the knee is broken" in each["reason"] for each in lost)
+    half = log.notes["halves"][0]
+    assert {each["number"] for each in half["lost"]} == {2}
+    assert all(reason in each["reason"] for each in half["lost"])
+    assert {"cpu", "memory", "file size", "open files"} <= set(half["enforced"])
     robot = log.robots.index((0, 2))
     assert log.present[0, robot]
     assert not log.present[log.half == 0][-1, robot]

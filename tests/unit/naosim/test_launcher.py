@@ -63,6 +63,14 @@ def test_log_of_a_lost_server_is_quoted_without_what_it_prints_at_every_start(wh
         server.stop()
 
 
+def test_a_server_that_cannot_be_started_leaves_nothing(shared: Path) -> None:
+    for program in (ServerProgram(sys.executable, (), files={"no/such": ""}), ServerProgram(sys.executable, ("\0",))):
+        with pytest.raises((OSError, ValueError), match=r"no/such|null byte"):
+            ProcessLauncher(program).start()
+        (locks,) = shared.iterdir()
+        assert list(locks.iterdir()) == []
+
+
 def test_a_container_has_no_rights_and_is_reached_from_this_machine_alone() -> None:
     options = container_options(
         RCSSSERVER3D, ContainerSettings("server:1", {"job": "job_1", "attempt": "2"}, memory="256m", cpus=0.5)
@@ -71,11 +79,12 @@ def test_a_container_has_no_rights_and_is_reached_from_this_machine_alone() -> N
     assert options["read_only"] and options["user"] == "10001:10001"
     assert options["nano_cpus"] == 500_000_000
     assert options["mem_limit"] == options["memswap_limit"] == "256m"
-    assert {host for host, _ in options["ports"].values()} == {"127.0.0.1"}
+    assert set(options["ports"]) == set(options["port_bindings"])
+    assert {host for host, _ in options["port_bindings"].values()} == {"127.0.0.1"}
     assert options["labels"]["job"] == "job_1"
     inside = container_options(RCSSSERVER3D, ContainerSettings("server:1", network="job_1"))
-    assert "ports" not in inside
-    assert inside["network"] == "job_1"
+    assert not {"ports", "port_bindings"} & set(inside)
+    assert inside["network_mode"] == "job_1"
 
 
 def test_only_a_container_whose_owner_is_provably_dead_is_an_orphan() -> None:

@@ -9,8 +9,34 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-_TICKS, _STATE = 19, 0
-"""Indices of the start and the state in `/proc/PID/stat`, behind the name."""
+
+@dataclass(frozen=True)
+class ProcessStat:
+    """State of a process, as Linux reports it.
+
+    Attributes:
+        state: its letter in `/proc/PID/stat`.
+        session: process id of the leader of its session.
+        cpu_ticks: processor time that it has used, clock ticks.
+        start_ticks: its start, clock ticks since boot.
+    """
+
+    state: str
+    session: int
+    cpu_ticks: int
+    start_ticks: int
+
+    @classmethod
+    def of(cls, pid: int) -> Self:
+        """Return the state of a process; raise OSError if there is none of this number."""
+        # The name in brackets may hold anything, so count from its end.
+        fields = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].decode("ascii").split()
+        return cls(fields[0], int(fields[3]), int(fields[11]) + int(fields[12]), int(fields[19]))
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the process is a zombie."""
+        return self.state in "ZXx"
 
 
 @dataclass(frozen=True)
@@ -25,7 +51,7 @@ class ProcessIdentity:
     @classmethod
     def current(cls) -> Self:
         """Return the identity of this process."""
-        return cls(os.getpid(), int(_stat(os.getpid())[_TICKS]), boot_id(), _place())
+        return cls(os.getpid(), ProcessStat.of(os.getpid()).start_ticks, boot_id(), _place())
 
     @classmethod
     def of(cls, pid: int) -> Self | None:
@@ -67,10 +93,10 @@ def start_ticks(pid: int) -> int | None:
         OSError: the process cannot be examined.
     """
     try:
-        fields = _stat(pid)
+        stat = ProcessStat.of(pid)
     except (FileNotFoundError, ProcessLookupError):
         return None
-    return None if fields[_STATE] in "ZXx" else int(fields[_TICKS])
+    return None if stat.has_ended else stat.start_ticks
 
 
 def boot_id() -> str:
@@ -78,11 +104,6 @@ def boot_id() -> str:
     with contextlib.suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     return ""
-
-
-def _stat(pid: int) -> list[str]:
-    # The name in brackets may hold anything, so count from its end.
-    return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].decode("ascii").split()
 
 
 def _place() -> str:

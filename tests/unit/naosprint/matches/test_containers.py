@@ -6,6 +6,7 @@ import json
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,7 +52,8 @@ def test_agents_have_limits_and_no_network_but_that_of_their_relay() -> None:
     for each in (options, relay_options(Path("/tmp/relay"))):
         assert each["user"] != "0" and not each["user"].startswith("0:")
         assert each["read_only"] and each["cap_drop"] == ["ALL"] and each["security_opt"] == ["no-new-privileges"]
-        assert each["pids_limit"] > 0 and each["nano_cpus"] > 0
+        assert (each["pids_limit"], each["nano_cpus"]) == (64, 1_000_000_000)
+        assert list(each["tmpfs"]) == ["/tmp"] and each["tmpfs"]["/tmp"].startswith("size=16m,")
         assert "ports" not in each
     assert "binds" not in options
     alone = relay_options(Path("/tmp/relay"))
@@ -147,6 +149,14 @@ def test_an_endpoint_passes_one_connection_of_its_player_only(echo: int) -> None
     finally:
         endpoints.close()
     assert not endpoints.folder(("right", 2)).parent.exists()
+
+
+def test_endpoints_that_do_not_open_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    for name, error in (("no/such", "No such file"), ("x" * 100, r"relay to 127.0.0.1:9 does not start: .* too long")):
+        with pytest.raises(OSError, match=error):
+            AgentEndpoints(Address("127.0.0.1", 9, 10), {(name, 1): True})
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_many_refusals_at_one_endpoint_do_not_hold_up_another(echo: int) -> None:

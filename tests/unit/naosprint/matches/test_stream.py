@@ -94,7 +94,7 @@ def test_a_running_game_is_shown_by_a_log_of_its_last_frames(
         bodies[0, 3] = [0.1 * frame, 1.0, 0.6]
         ball = np.array([0.05 * frame, 0.0, 0.11])
         found = {PLAYERS[0]: bodies.copy()}
-        recorder.add(Frame(0.04 * frame, 280.0 + 0.04 * frame, 3, (1, 0), ball, found, []))
+        recorder.add(Frame(0.04 * frame, 280.0 + 0.04 * frame, 3, (1, 0), ball, found))
     (path := tmp_path / "clip.npz").write_bytes(base64.b64decode(recorder.clip(first, ("a", "b"), 1, (2, 3))))
     clip = GameLog.load(path)
     start, step = expected

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
+import os
+import select
+import shutil
 import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +25,7 @@ from naosprint.matches import confine
 from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
 from naosprint.matches.game import GameSettings
 from naosprint.matches.match import log_name, own_folder
-from naosprint.matches.teams import find_team, read_team, write_example
+from naosprint.matches.teams import Team, find_team, read_team, write_example
 
 
 @pytest.mark.parametrize(
@@ -57,13 +62,33 @@ def test_a_skill_of_another_task_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "team").exists()
 
 
+LANDLOCK = ctypes.CDLL(None, use_errno=True).syscall(444, None, ctypes.c_size_t(0), 1)
+"""The version of this kernel's Landlock, -1 without one: landlock_create_ruleset(2)."""
+HAS_SECCOMP = Path("/proc/sys/kernel/seccomp").exists() and os.uname().machine in ("x86_64", "aarch64")
+
+needs_tcp_rules = pytest.mark.skipif(LANDLOCK < 4, reason="this kernel has no Landlock with rules for TCP")
+needs_seccomp = pytest.mark.skipif(not HAS_SECCOMP, reason="this kernel has no filter of system calls")
+needs_all_limits = pytest.mark.skipif(LANDLOCK < 6 or not HAS_SECCOMP, reason="this kernel cannot confine agents")
+
+
+def write_team(folder: Path, program: str, arguments: Sequence[str], reads: Sequence[Path] = ()) -> Team:
+    (folder / "player.py").write_text(program)
+    content = {"command": ["{python}", "player.py", *arguments], "reads": [str(path) for path in reads]}
+    (folder / "team.json").write_text(json.dumps(content))
+    return read_team(folder)
+
+
 def run_agent(
-    folder: Path, program: str, arguments: Sequence[str] = ("{port}", "{number}"), **limits: int
+    folder: Path,
+    program: str,
+    arguments: Sequence[str] = ("{port}", "{number}"),
+    reads: Sequence[Path] = (),
+    port: int = 9,
+    **limits: int,
 ) -> tuple[AgentProcess, str]:
     """Run a program as an agent to its end; return it and how it ended."""
-    (folder / "player.py").write_text(program)
-    (folder / "team.json").write_text(json.dumps({"command": ["{python}", "player.py", *arguments]}))
-    agent = AgentProcess(read_team(folder), "left", 3, 1, Address("127.0.0.1", 9, 10), Limits(**limits))
+    team = write_team(folder, program, arguments, reads)
+    agent = AgentProcess(team, "left", 3, 1, Address("127.0.0.1", port, 10), Limits(**limits))
     pause = threading.Event()
     while agent.alive():
         agent.note_cpu(cpu_by_session())
@@ -73,9 +98,9 @@ def run_agent(
 
 def test_an_agent_gets_its_place_and_its_failure_has_words(tmp_path: Path) -> None:
     agent, words = run_agent(tmp_path, "import sys; sys.exit(' '.join(sys.argv[1:]))")
+    assert words == "exit code 1, log: ...9 3"
     agent.stop()
-    assert words == "exit code 1, output: ...9 3"
-    assert {"cpu", "memory"} <= set(agent.enforced or ["cpu", "memory"])
+    assert {"cpu", "memory", "file size", "open files", "core dumps"} <= set(agent.enforced)
 
 
 def test_memory_and_processor_time_are_limited(tmp_path: Path) -> None:
@@ -84,40 +109,155 @@ def test_memory_and_processor_time_are_limited(tmp_path: Path) -> None:
     assert "MemoryError" in words
     agent, words = run_agent(tmp_path, "while True: pass", cpu_s=1)
     agent.stop()
-    assert words.startswith("exit code 1")
-    assert agent.cpu_s <= 3.0
+    assert words == "exit code 137"
+    assert 0.5 <= agent.cpu_s <= 3.0
 
 
-def test_files_and_network_are_limited_where_the_kernel_can(tmp_path: Path) -> None:
-    program = """
-import socket, sys
-for what in (lambda: open("/proc/1/environ"), lambda: open("mark", "w"), lambda: open("/root/.profile")):
+RESOURCES = """
+import os, resource
+with open(os.environ["HOME"] + "/large", "wb") as file:
+    file.truncate(256 << 20)
     try:
-        what()
-        print("open")
+        file.truncate((256 << 20) + 1)
     except OSError as error:
-        print(type(error).__name__)
+        print(error.strerror, end=";")
+opened = [0]
 try:
-    socket.create_connection(("127.0.0.1", 10), 5)
+    while opened[-1] < 10_000:
+        opened.append(os.open("/dev/null", os.O_RDONLY))
 except OSError as error:
-    print(type(error).__name__)
-sys.exit(1)
+    print(error.strerror, opened[-1], end=";")
+    os.close(opened.pop())
+for name in ("CPU", "AS", "FSIZE", "NOFILE", "CORE"):
+    soft, hard = resource.getrlimit(getattr(resource, "RLIMIT_" + name))
+    print(name, soft, end=" " if soft == hard else " and more; ")
 """
-    (tmp_path / "team").mkdir()
-    agent, words = run_agent(tmp_path / "team", program)
-    enforced = set()
-    path = agent._report
-    if path.exists():
-        enforced = set(json.loads(path.read_text()))
+
+
+def test_files_are_limited_in_size_and_number_and_there_are_no_core_dumps(tmp_path: Path) -> None:
+    agent, words = run_agent(tmp_path, RESOURCES, cpu_s=60, memory_mb=512)
     agent.stop()
-    if "TCP" not in enforced:
-        pytest.skip("this kernel has no Landlock with rules for TCP")
-    assert words.count("PermissionError") == 4, words
-    assert not (tmp_path / "team" / "mark").exists()
-    assert sys.executable
+    limits = f"CPU 60 AS {512 << 20} FSIZE {256 << 20} NOFILE 256 CORE 0"
+    assert words == f"exit code 0, log: ...File too large;Too many open files 255;{limits}"
 
 
-needs_all_limits = pytest.mark.skipif(bool(confine.missing()), reason=confine.missing())
+ACCESS = """
+import os, socket, sys
+others, folder, port, other_port = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+home = os.environ["HOME"]
+tries = {
+    "reading": lambda: open(others),
+    "reading of processes": lambda: open("/proc/1/environ"),
+    "reading of the log": lambda: open(home + "/../output.log"),
+    "writing of its folder": lambda: open("mark", "w"),
+    "writing of what it reads": lambda: open(folder + "/mark", "w"),
+    "truncating": lambda: os.truncate("player.py", 0),
+    "deleting": lambda: os.unlink("player.py"),
+    "renaming": lambda: os.rename("player.py", "other.py"),
+    "a folder": lambda: os.mkdir("folder"),
+    "a link": lambda: os.symlink("player.py", "link"),
+    "connecting": lambda: socket.create_connection(("127.0.0.1", other_port), 5),
+    "binding": lambda: socket.socket().bind(("127.0.0.1", 0)),
+}
+for name, attempt in tries.items():
+    try:
+        attempt()
+        print(name, "done;")
+    except PermissionError:
+        pass
+print(open("player.py").read().split()[0], open(folder + "/legs").read())
+with open(home + "/note", "w") as note:
+    note.write("1")
+os.rename(home + "/note", home + "/other")
+socket.create_connection(("127.0.0.1", port), 5).close()
+"""
+
+
+@needs_tcp_rules
+def test_files_and_network_are_limited_where_the_kernel_can(tmp_path: Path) -> None:
+    """It reads its folder and what `reads` names, writes its home directory, and connects to its own port."""
+    for name in ("team", "library"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "others").write_text("secret")
+    library = tmp_path / "library"
+    (library / "legs").write_text("two")
+    with socket.create_server(("127.0.0.1", 0)) as own, socket.create_server(("127.0.0.1", 0)) as other:
+        words = [str(tmp_path / "others"), str(library), "{port}", str(other.getsockname()[1])]
+        agent, said = run_agent(tmp_path / "team", ACCESS, words, [library], own.getsockname()[1])
+    assert said == "exit code 0, log: ...import two"
+    agent.stop()
+    assert {"files", "TCP"} <= set(agent.enforced)
+    assert sorted(path.name for path in tmp_path.glob("*/*")) == ["legs", "player.py", "team.json"]
+
+
+TREE = """
+import os, signal, socket, sys
+for leave in (os.getpid, os.setsid, lambda: os.setpgid(0, 0)):
+    if not os.fork():
+        try:
+            leave()
+        except PermissionError:
+            pass
+        break
+with socket.create_connection(("127.0.0.1", int(sys.argv[1]))) as server:
+    server.sendall(f"{os.getpid()} {os.environ['HOME']}".encode())
+signal.pause()
+"""
+OWNER = """
+import sys
+from pathlib import Path
+from naosim.launchers import Address
+from naosprint.matches.agents import AgentProcess, Limits
+from naosprint.matches.teams import read_team
+agent = AgentProcess(read_team(Path(sys.argv[1])), "left", 3, 1, Address("127.0.0.1", int(sys.argv[2]), 10), Limits())
+sys.stdin.read()
+"""
+
+
+@needs_seccomp
+@pytest.mark.parametrize("killed", [False, True], ids=["stopped", "owner killed"])
+def test_all_that_an_agent_has_started_ends_with_it(killed: bool, tmp_path: Path) -> None:
+    """Also if that tries to leave the group of processes, and if the process that runs the match is killed."""
+    team = write_team(tmp_path, TREE, ["{port}"])
+    with socket.create_server(("127.0.0.1", 0)) as server, contextlib.ExitStack() as stack:
+        server.settimeout(30)
+        port = server.getsockname()[1]
+        if killed:
+            owner = subprocess.Popen(
+                [sys.executable, "-P", "-c", OWNER, str(tmp_path), str(port)], stdin=subprocess.PIPE
+            )
+            stack.enter_context(owner)
+            stack.callback(owner.kill)
+            end = owner.kill
+        else:
+            agent = AgentProcess(team, "left", 3, 1, Address("127.0.0.1", port, 10), Limits())
+            stack.callback(agent.stop)
+            end = agent.stop
+        descriptors = []
+        for _ in range(4):
+            with server.accept()[0] as connection, connection.makefile() as lines:
+                pid, home = lines.read().split(" ", 1)
+            descriptors.append(os.pidfd_open(int(pid)))
+            stack.callback(os.close, descriptors[-1])
+        assert Path(home).is_dir()
+        assert not select.select(descriptors, [], [], 0.0)[0]
+        end()
+        for descriptor in descriptors:
+            assert select.select([descriptor], [], [], 30.0)[0], "a process is left"
+    assert not Path(home).parent.exists()
+
+
+def test_an_agent_that_does_not_start_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For example because its folder has been removed."""
+    (tmp_path / "team").mkdir()
+    (tmp_path / "temporary").mkdir()
+    team = write_team(tmp_path / "team", "", [])
+    shutil.rmtree(team.folder)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    with pytest.raises(FileNotFoundError, match="team"):
+        AgentProcess(team, "left", 3, 1, Address("127.0.0.1", 9, 10), Limits())
+    assert list((tmp_path / "temporary").iterdir()) == []
+
 
 ATTACKS = """
 import ctypes, os, resource, signal, socket, sys
@@ -131,6 +271,10 @@ def unix(kind=socket.SOCK_STREAM, to=path):
 def through_a_pair():
     pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     pair[0].sendto(b"x", path + ".datagrams")
+
+def system_v(call, *arguments):
+    if call(*arguments) < 0:
+        raise OSError(ctypes.get_errno(), call.__name__)
 
 def ring():
     if libc.syscall(425, 1, ctypes.create_string_buffer(120)) < 0:
@@ -148,8 +292,12 @@ attacks = {
     "fast open": lambda: socket.socket().sendto(b"x", 0x20000000, ("127.0.0.1", port)),
     "fast open, message": lambda: socket.socket().sendmsg([b"x"], [], 0x20000000, ("127.0.0.1", port)),
     "mode": lambda: os.chmod(path, 0),
+    "owner": lambda: os.chown(path + ".file", os.getuid(), os.getgid()),
     "attribute": lambda: os.setxattr(path + ".file", "user.x", b"1"),
     "ring": ring,
+    "listening": lambda: socket.socket().listen(),
+    "memory of System V": lambda: system_v(libc.shmget, 0, 4096, 0o1600),
+    "messages of System V": lambda: system_v(libc.msgget, 0, 0o1600),
 }
 for name, attack in attacks.items():
     try:
@@ -196,11 +344,11 @@ def test_an_agent_reaches_no_socket_process_or_file_outside(tmp_path: Path, monk
                     each.listen()
             words = [str(tmp_path / "endpoint"), str(tmp_path), str(victim.pid), str(server.getsockname()[1])]
             agent, said = run_agent(tmp_path / "team", ATTACKS, arguments=words)
-            enforced, ended = agent.enforced, victim.poll()
+            ended = victim.poll()
             agent.stop()
         victim.kill()
     assert (said, ended) == ("exit code 0", None)
-    assert {"files", "TCP", "signals", "Unix sockets"} <= set(enforced)
+    assert {"files", "TCP", "signals", "Unix sockets"} <= set(agent.enforced)
     assert (tmp_path / "endpoint").stat().st_mode & 0o777
 
 
@@ -208,7 +356,7 @@ def test_an_agent_reaches_no_socket_process_or_file_outside(tmp_path: Path, monk
 def test_an_agent_has_what_programs_need(tmp_path: Path) -> None:
     agent, words = run_agent(tmp_path, NEEDS)
     agent.stop()
-    assert words == "exit code 0, output: ...all of it"
+    assert words == "exit code 0, log: ...all of it"
 
 
 @needs_all_limits
@@ -243,8 +391,42 @@ def refused_by(program: bytes, architecture: int, number: int, *arguments: int) 
 @pytest.mark.parametrize(
     ("machine", "own", "other", "numbers"),
     [
-        ("x86_64", 0xC000003E, 0x40000003, {"read": 0, "socket": 41, "socketpair": 53, "sendto": 44, "chmod": 90}),
-        ("aarch64", 0xC00000B7, 0x40000028, {"read": 63, "socket": 198, "socketpair": 199, "sendto": 206, "chmod": 53}),
+        (
+            "x86_64",
+            0xC000003E,
+            0x40000003,
+            {
+                "read": 0,
+                "socket": 41,
+                "socketpair": 53,
+                "sendto": 44,
+                "chmod": 90,
+                "listen": 50,
+                "setpgid": 109,
+                "setsid": 112,
+                "shmget": 29,
+                "semget": 64,
+                "msgget": 68,
+            },
+        ),
+        (
+            "aarch64",
+            0xC00000B7,
+            0x40000028,
+            {
+                "read": 63,
+                "socket": 198,
+                "socketpair": 199,
+                "sendto": 206,
+                "chmod": 53,
+                "listen": 201,
+                "setpgid": 154,
+                "setsid": 157,
+                "shmget": 194,
+                "semget": 190,
+                "msgget": 186,
+            },
+        ),
     ],
 )
 def test_calls_are_refused_on_both_machines(machine: str, own: int, other: int, numbers: dict[str, int]) -> None:
@@ -258,13 +440,14 @@ def test_calls_are_refused_on_both_machines(machine: str, own: int, other: int, 
     assert refused("socket", 1 << 32 | 1, 1), "the kernel reads 32 bits"
     assert [refused("socketpair", 1, kind | 0o2000000) for kind in (1, 2, 3, 5)] == [False, True, True, False]
     assert [refused("sendto", 3, 0, 0, flags) for flags in (0, 0x4000, 0x20004000)] == [False, False, True]
-    assert refused("chmod")
+    assert all(map(refused, ("chmod", "listen", "setpgid", "setsid", "shmget", "semget", "msgget")))
     assert refused_by(program, own, numbers["read"] | 1 << 30), "x32"
     assert refused_by(program, other, numbers["read"]) is None
     assert confine.call_filter("riscv64") == b""
 
 
 def test_what_a_machine_lacks_to_confine_an_agent_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert (confine.missing() == "") is (LANDLOCK >= 6 and HAS_SECCOMP)
     monkeypatch.setattr(confine, "landlock_version", lambda: 5)
     assert confine.missing() == "the kernel has no Landlock of version 6; use Linux 6.12 or newer with it"
     monkeypatch.setattr(confine, "landlock_version", lambda: 6)

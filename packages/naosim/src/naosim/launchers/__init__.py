@@ -11,6 +11,7 @@ from naosim.launchers.environment import (
     reap_servers,
     require_servers,
 )
+from naosim.launchers.guarded import GuardedProcess
 from naosim.launchers.process import PortLease, ProcessLauncher
 from naosim.launchers.server import Address, Launcher, LauncherUnavailableError, ServerHandle, ServerProgram
 from naosim.launchers.sidecar import SidecarLauncher
@@ -20,6 +21,7 @@ __all__ = [
     "Address",
     "ContainerSettings",
     "DockerLauncher",
+    "GuardedProcess",
     "Launcher",
     "LauncherUnavailableError",
     "PortLease",

@@ -30,6 +30,8 @@ LABEL = "naosim.server"
 OWNER_HOST, OWNER_PID, OWNER_START = "naosim.owner.host", "naosim.owner.pid", "naosim.owner.start"
 PREFIX = "naosim-"
 _STOP_S = 2
+_OWN_OPTIONS = ("command", "entrypoint", "user", "labels", "ports")
+"""Options of a container itself; the others are of the host that runs it."""
 _USER = "10001:10001"
 """User and group of every server, whatever its image says."""
 
@@ -75,23 +77,16 @@ def is_orphan(labels: Mapping[str, str]) -> bool:
 
 
 def container_options(program: ServerProgram, settings: ContainerSettings) -> dict[str, Any]:
-    """Return the options of a server's container for the Docker SDK's `containers.run`."""
-    options = {
-        "image": settings.image,
-        "command": program.container_command(),
-        "detach": True,
-        **confined_options(settings),
-    }
+    """Return the options of a server's container for `create_container`."""
+    options = {"command": program.container_command(), **confined_options(settings)}
     if settings.network is not None:
-        options["network"] = settings.network
-    else:
-        ports = (program.agent_port, program.monitor_port)
-        options["ports"] = {f"{port}/tcp": ("127.0.0.1", None) for port in ports}
-    return options
+        return {**options, "network_mode": settings.network}
+    ports = [program.agent_port, program.monitor_port]
+    return {**options, "ports": ports, "port_bindings": {port: ("127.0.0.1", None) for port in ports}}
 
 
 def confined_options(settings: ContainerSettings) -> dict[str, Any]:
-    """Return user, labels and limits of a container that may do nothing but run its program, for the Docker SDK."""
+    """Return user, labels and limits of a container that may do nothing but run its program."""
     return {
         "init": True,
         "user": _USER,
@@ -176,19 +171,24 @@ def create_server(api: Any, name: str, program: ServerProgram, settings: Contain
     Raises:
         docker.errors.DockerException: the engine refuses.
     """
-    options = container_options(program, settings)
-    image, command, labels = options.pop("image"), options.pop("command"), options.pop("labels")
-    network, ports = options.pop("network", None), options.pop("ports", None)
-    api.create_container(
-        image,
-        command,
-        detach=options.pop("detach"),
-        user=options.pop("user"),
-        name=name,
-        labels=labels,
-        ports=None if ports is None else [port.partition("/")[0] for port in ports],
-        host_config=api.create_host_config(network_mode=network, port_bindings=ports, **options),
-    )
+    create_container(api, name, settings.image, container_options(program, settings))
+
+
+def create_container(api: Any, name: str, image: str, options: Mapping[str, Any]) -> None:
+    """Create and start a container; nothing of it is left if that fails.
+
+    Args:
+        api: a `docker.APIClient`.
+        name: its name.
+        image: its image.
+        options: arguments of the client's `create_container` and `create_host_config`.
+
+    Raises:
+        docker.errors.DockerException: the engine refuses.
+    """
+    own = {key: options[key] for key in _OWN_OPTIONS if key in options}
+    host = api.create_host_config(**{key: value for key, value in options.items() if key not in own})
+    api.create_container(image, name=name, detach=True, host_config=host, **own)
     try:
         api.start(name)
     except BaseException:

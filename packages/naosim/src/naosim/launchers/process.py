@@ -1,8 +1,7 @@
 """Servers as local processes.
 
 Ports are reserved by locks that other launchers on this machine respect, and a server counts as started only once this
-very process answers on them. A server runs in a session and a home directory of its own, under a guard that kills it
-when the process that started it ends in any way.
+very process answers on them. A server's home directory is the folder of its :class:`GuardedProcess`.
 """
 
 from __future__ import annotations
@@ -13,8 +12,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
@@ -22,12 +19,10 @@ from typing import IO
 from naospec.files import user_folder
 from naospec.ports import free_ports
 
+from naosim.launchers.guarded import GuardedProcess
 from naosim.launchers.server import Address, ServerHandle, ServerProgram
 
-_GUARD = Path(__file__).with_name("guard.py")
 _GRACE_S = 2.0
-_ENDING_S = 0.5
-_LOG, _LOG_TAIL = "server.log", 400
 _PASSED_VARIABLES = (
     *("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "PYTHONPATH"),
     *("RCSS_BUNDLE_PATH", "RCSS_FIND_SCRIPT_PATH"),
@@ -119,92 +114,56 @@ class ProcessLauncher:
         Raises:
             OSError: if it cannot be started.
         """
-        lease = PortLease(2)
-        home = Path(tempfile.mkdtemp(prefix="naosim-server-"))
+        server = _ServerProcess()
         try:
-            for name, content in self.program.files.items():
-                (home / name).write_text(content, encoding="utf-8")
-            address = Address("127.0.0.1", *lease.ports)
-            arguments = self.program.process_command(address.agent_port, address.monitor_port, str(home))
-            environment = {key: os.environ[key] for key in _PASSED_VARIABLES if key in os.environ}
-            environment |= {"HOME": str(home), "SDL_VIDEODRIVER": "dummy", "OMP_NUM_THREADS": "1"} | self._environment
-            guard = (sys.executable, "-I", "-S", str(_GUARD), str(home), str(int(self.program.stop_signal)))
-            with (home / _LOG).open("wb") as log:
-                process = subprocess.Popen(
-                    [*guard, *self.command, *arguments],
-                    stdin=subprocess.PIPE,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    cwd=home,
-                    env=environment,
-                    start_new_session=True,
-                )
+            server.launch(self.program, self.command, self._environment)
         except BaseException:
-            lease.release()
-            shutil.rmtree(home, ignore_errors=True)
+            server.stop()
             raise
-        return _ServerProcess(process, home, lease, address)
+        return server
 
 
-class _ServerProcess:
-    """One local server and its guard."""
+class _ServerProcess(GuardedProcess):
+    """One local server."""
 
-    def __init__(self, process: subprocess.Popen[bytes], home: Path, lease: PortLease, address: Address) -> None:
-        self.address = address
-        self._process = process
-        self._home = home
-        self._lease = lease
-        self._starting_bytes = 0
-        """Bytes of its log from the time before it listened: plug-ins that it looked for, mostly."""
+    def __init__(self) -> None:
+        self._lease = PortLease(2)
+        self.address = Address("127.0.0.1", *self._lease.ports)
+        super().__init__("naosim-server-")
 
-    @property
-    def pid(self) -> int:
-        """Return the process id of the guard, which leads the session."""
-        return self._process.pid
-
-    def alive(self) -> bool:
-        return self._process.poll() is None
+    def launch(self, program: ServerProgram, command: Sequence[str], more: Mapping[str, str]) -> None:
+        """Write the files of its home directory and start it, with more variables than those that are passed on."""
+        for name, content in program.files.items():
+            (self.folder / name).write_text(content, encoding="utf-8")
+        arguments = program.process_command(self.address.agent_port, self.address.monitor_port, str(self.folder))
+        environment = {key: os.environ[key] for key in _PASSED_VARIABLES if key in os.environ}
+        environment |= {"HOME": str(self.folder), "SDL_VIDEODRIVER": "dummy", "OMP_NUM_THREADS": "1", **more}
+        self.start([*command, *arguments], environment, stop_signal=program.stop_signal)
 
     def owns(self, port: int) -> bool:
         inodes = _listeners(port)
-        for pid in _session(self._process.pid):
+        for pid in _session(self.pid):
             with contextlib.suppress(OSError):
                 for fd in os.listdir(f"/proc/{pid}/fd"):
                     with contextlib.suppress(OSError):
                         if os.readlink(f"/proc/{pid}/fd/{fd}") in inodes:
-                            self._starting_bytes = self._starting_bytes or (self._home / _LOG).stat().st_size
+                            # before it listened it has printed which plug-ins it looked for, mostly
+                            self._log_start = self._log_start or self._log.stat().st_size
                             return True
         return False
 
     def describe(self) -> str:
-        # callers ask when its connections break, a moment before the process is gone
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_ENDING_S)
-        code = self._process.returncode
-        state = "runs" if code is None else f"exit code {code}"
-        try:
-            with (self._home / _LOG).open("rb") as log:
-                log.seek(0, os.SEEK_END)
-                log.seek(max(self._starting_bytes, log.tell() - _LOG_TAIL))
-                words = " ".join(log.read().decode(errors="replace").split())
-        except OSError:
-            words = ""
-        return f"process {self._process.pid}, {state}" + (f", log: ...{words}" if words else "")
+        return f"process {self.pid}, {super().describe()}"
 
     def stop(self) -> None:
-        if self.alive():
+        if self._process is not None and self.alive():
             with contextlib.suppress(ProcessLookupError):
-                os.kill(self._process.pid, signal.SIGTERM)
+                os.kill(self.pid, signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_GRACE_S)
         # the real server may ignore SIGTERM while no agent is connected
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
-        if self._process.stdin is not None:
-            self._process.stdin.close()
+        super().stop()
         self._lease.release()
-        shutil.rmtree(self._home, ignore_errors=True)
 
 
 def _session(leader: int) -> list[int]:

@@ -6,16 +6,12 @@ import contextlib
 import glob
 import json
 import os
-import shutil
-import signal
-import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import naosim.launchers
+from naosim.launchers import GuardedProcess
+from naospec.processes import ProcessStat
 
 from naosprint.matches import confine
 
@@ -26,7 +22,6 @@ if TYPE_CHECKING:
 
     from naosprint.matches.teams import Team
 
-_GUARD = Path(naosim.launchers.__file__).with_name("guard.py")
 _SETTINGS = (
     *("ld.so.*", "localtime", "timezone", "locale*", "os-release", "mime.types", "fonts", "java*", "python*"),
     *("nsswitch.conf", "passwd", "group", "host.conf", "hosts", "resolv.conf", "gai.conf", "protocols", "services"),
@@ -40,7 +35,6 @@ _SYSTEM = (
     *(f"/etc/{name}" for pattern in _SETTINGS for name in glob.glob(pattern, root_dir="/etc")),
 )
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_LOG_TAIL, _GRACE_S = 2000, 1.0
 
 
 @dataclass(frozen=True)
@@ -66,8 +60,8 @@ class Limits:
                 raise ValueError(f"{name}: must be at least 1, not {value}")
 
 
-class AgentProcess:
-    """One agent of a team, in a process group of its own under a guard that ends it with this process.
+class AgentProcess(GuardedProcess):
+    """One agent of a team, in a process.
 
     Args:
         team: the team.
@@ -82,80 +76,52 @@ class AgentProcess:
     """
 
     def __init__(self, team: Team, name: str, number: int, players: int, server: Address, limits: Limits) -> None:
+        super().__init__("naosprint-agent-")
         self.number = number
         self.cpu_s = 0.0
-        self._home = Path(tempfile.mkdtemp(prefix="naosprint-agent-"))
-        self._folder = Path(tempfile.mkdtemp(prefix="naosprint-agent-log-"))
-        self._log, self._report = self._folder / "output", self._folder / "enforced.json"
+        self._enforced: list[str] = []
+        # the agent may use no other part of its folder
+        home, self._report = self.folder / "home", self.folder / "enforced.json"
         command = team.agent(host=server.host, port=server.agent_port, team=name, number=number, players=players)
-        reads = [*_SYSTEM, sys.prefix, sys.base_prefix, str(team.folder), *team.reads]
         options = json.dumps(
             {
                 "cpu_s": limits.cpu_s,
                 "memory_mb": limits.memory_mb,
-                "reads": reads,
-                "writes": [str(self._home), "/dev/null"],
+                "reads": [*_SYSTEM, sys.prefix, sys.base_prefix, str(team.folder), *team.reads],
+                "writes": [str(home), "/dev/null"],
                 "port": server.agent_port,
                 "report": str(self._report),
             }
         )
-        isolated = (sys.executable, "-I", "-S")
-        guard = (*isolated, str(_GUARD), str(self._home), str(int(signal.SIGTERM)))
-        confined = (*isolated, confine.__file__, options)
         environment = {key: os.environ[key] for key in ("PATH", "LANG", "LC_ALL") if key in os.environ}
-        environment |= dict.fromkeys(_ONE_THREAD, "1") | {"HOME": str(self._home), "TMPDIR": str(self._home)}
+        environment |= dict.fromkeys(_ONE_THREAD, "1") | {"HOME": str(home), "TMPDIR": str(home)}
         environment["PYTHONDONTWRITEBYTECODE"] = "1"
-        with self._log.open("wb") as log:
-            self._process = subprocess.Popen(
-                [*guard, *confined, *command],
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                cwd=team.folder,
-                env=environment,
-                start_new_session=True,
-            )
+        try:
+            home.mkdir()
+            self.start([sys.executable, "-I", "-S", confine.__file__, options, *command], environment, team.folder)
+        except BaseException:
+            super().stop()
+            raise
 
     @property
     def enforced(self) -> list[str]:
         """Limits that the kernel enforces, once the agent has started."""
-        try:
-            found: list[str] = json.loads(self._report.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return []
-        return found
+        self._note_enforced()
+        return self._enforced
 
-    def alive(self) -> bool:
-        """Return whether it runs."""
-        return self._process.poll() is None
-
-    def describe(self) -> str:
-        """Return how it ended and the end of what it printed."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_GRACE_S)
-        code = self._process.returncode
-        with contextlib.suppress(OSError), self._log.open("rb") as log:
-            log.seek(max(0, self._log.stat().st_size - _LOG_TAIL))
-            words = " ".join(log.read().decode(errors="replace").split())
-            return f"{'runs' if code is None else f'exit code {code}'}" + (
-                f", output: ...{words[-400:]}" if words else ""
-            )
-        return "no output"
+    def _note_enforced(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self._enforced = json.loads(self._report.read_text(encoding="utf-8"))
 
     def stop(self) -> None:
-        """End it and everything that it started."""
+        """Kill it and everything that it started; its processor time and what was enforced stay known."""
         self.note_cpu(cpu_by_session())
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-        for folder in (self._home, self._folder):
-            shutil.rmtree(folder, ignore_errors=True)
+        self._note_enforced()
+        super().stop()
 
     def note_cpu(self, used_s: Mapping[int, float]) -> None:
         """Note the processor time that it has used so far, from that of all sessions."""
-        self.cpu_s = max(self.cpu_s, used_s.get(self._process.pid, 0.0))
+        self.cpu_s = max(self.cpu_s, used_s.get(self.pid, 0.0))
 
 
 def cpu_by_session() -> dict[int, float]:
@@ -163,9 +129,8 @@ def cpu_by_session() -> dict[int, float]:
     ticks: dict[int, int] = {}
     for entry in os.listdir("/proc"):
         if entry.isdecimal():
-            with contextlib.suppress(OSError, ValueError, IndexError):
-                fields = Path(f"/proc/{entry}/stat").read_text(encoding="ascii", errors="replace").rsplit(")", 1)[1]
-                state, _, _, session, *rest = fields.split()
-                if state != "Z":
-                    ticks[int(session)] = ticks.get(int(session), 0) + int(rest[7]) + int(rest[8])
+            with contextlib.suppress(OSError):
+                stat = ProcessStat.of(int(entry))
+                if not stat.has_ended:
+                    ticks[stat.session] = ticks.get(stat.session, 0) + stat.cpu_ticks
     return {session: used / os.sysconf("SC_CLK_TCK") for session, used in ticks.items()}

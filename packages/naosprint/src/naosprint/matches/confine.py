@@ -6,8 +6,8 @@ are JSON: cpu_s, memory_mb, reads, writes, port, report.
 The kernel limits processor time, memory, the size of a file and the number of open files (`setrlimit`). With Landlock,
 where the kernel has it, the command reads only the folders ``reads``, writes only those of ``writes``, connects with
 TCP to nothing but the port ``port``, and signals only what it has started. A filter of system calls (seccomp) keeps it
-from Unix sockets and from what these rules do not see, `_CALLS`. Not limited are UDP, the number of processes and their
-priority. What is enforced is written to the file ``report`` as a JSON list.
+in its process group, and from Unix sockets and what these rules do not see, `_CALLS`. Not limited are UDP, the number
+of processes and their priority. What is enforced is written to the file ``report`` as a JSON list.
 """
 
 from __future__ import annotations
@@ -47,6 +47,10 @@ _CALLS: tuple[tuple[tuple[int, ...], tuple[int, ...], int, int, tuple[int, ...]]
     ((302,), (261,), 0, _WHOLE, (0,)),
     # io_uring_setup
     ((425,), (425,), 0, 0, ()),
+    # listen: a socket that was not bound gets a port that Landlock does not see
+    ((50,), (201,), 0, 0, ()),
+    # setpgid and setsid: at the end of the match the process group is killed
+    ((109, 112), (154, 157), 0, 0, ()),
     # modes, owners and attributes of files, also of those that it cannot open
     (
         (*range(90, 95), *range(188, 191), *range(197, 200), 260, 268, 452, 463, 466),

@@ -20,6 +20,7 @@ from naosim.launchers import ContainerSettings
 from naosim.launchers.docker import (
     confined_options,
     connect,
+    create_container,
     describe_server,
     engine_errors,
     new_name,
@@ -93,17 +94,13 @@ class ContainerAgents:
         return agent
 
     def _create(self, name: str, image: str, field: str, options: dict[str, Any]) -> None:
-        """Create and start a container."""
+        """Create and start a container; raise OSError if there is no such image."""
         with engine_errors():
             if not self.api.images(image):
                 raise OSError(
                     f"{field}: there is no image {image!r} on this machine; build it here, or 'docker pull {image}'"
                 )
-            own = {key: options.pop(key) for key in ("command", "entrypoint", "user", "labels") if key in options}
-            self.api.create_container(
-                image, name=name, detach=True, host_config=self.api.create_host_config(**options), **own
-            )
-            self.api.start(name)
+            create_container(self.api, name, image, options)
 
     def _await_relay(self, name: str) -> None:
         deadline, pause = time.monotonic() + _START_S, threading.Event()

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import shutil
-import signal
-import subprocess
 import sys
-import tempfile
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
-import naosim.launchers
-from naosim.launchers import Address
+from naosim.launchers import Address, GuardedProcess
 
 from naosprint.matches import relay
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from naosprint.matches.stream import Player
 
 SOCKET = "server"
 """Name of an endpoint that is a Unix socket, in a folder of its own."""
-_GUARD = Path(naosim.launchers.__file__).with_name("guard.py")
 _HOST = "127.0.0.1"
 
 
@@ -41,11 +34,19 @@ class AgentEndpoints:
     """
 
     def __init__(self, server: Address, players: Mapping[Player, bool]) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="naosprint-relay-"))
+        self._process = GuardedProcess("naosprint-relay-")
         self._ports: dict[Player, int] = {}
         self._entered: set[Player] = set()
         self._refused: dict[Player, str] = {}
         self._rest = b""
+        try:
+            self._output = self._open(server, players)
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self, server: Address, players: Mapping[Player, bool]) -> IO[bytes]:
+        """Start the relay; return its output, behind the line of each endpoint."""
         words: list[str] = []
         for (team, number), is_socket in players.items():
             listen = f"tcp:{_HOST}:0"
@@ -55,24 +56,18 @@ class AgentEndpoints:
                 folder.chmod(0o711)  # the relays' user opens what it has the name of
                 listen = f"unix:{folder / SOCKET}"
             words += [listen, team, str(number)]
-        isolated = (sys.executable, "-I", "-S")
-        guard = (*isolated, str(_GUARD), str(self._folder), str(int(signal.SIGTERM)))
-        self._process = subprocess.Popen(
-            [*guard, *isolated, relay.__file__, f"tcp:{server.host}:{server.agent_port}", *words],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            start_new_session=True,
-        )
-        assert self._process.stdout is not None
+        target = f"{server.host}:{server.agent_port}"
+        self._process.start([sys.executable, "-I", "-S", relay.__file__, f"tcp:{target}", *words], piped=True)
+        output = self._process.process.stdout
+        assert output is not None
         for player in players:
-            line = self._process.stdout.readline().split()
+            line = output.readline().split()
             if not line:
-                self.close()
-                raise OSError(f"the relay to {server.host}:{server.agent_port} does not start")
+                raise OSError(f"the relay to {target} does not start: {self._process.describe()}")
             if not players[player]:
                 self._ports[player] = int(line[-1])
-        os.set_blocking(self._process.stdout.fileno(), False)
+        os.set_blocking(output.fileno(), False)
+        return output
 
     def address(self, player: Player) -> Address:
         """Return what is the server to an agent; it has no monitor port."""
@@ -80,7 +75,7 @@ class AgentEndpoints:
 
     def folder(self, player: Player) -> Path:
         """Return the folder with the Unix socket `SOCKET` of a player."""
-        return self._folder / f"{player[0]}-{player[1]}"
+        return self._process.folder / f"{player[0]}-{player[1]}"
 
     def entered(self) -> set[Player]:
         """Return the players whose agents have asked the server to enter the field."""
@@ -95,8 +90,7 @@ class AgentEndpoints:
         return f"; it began with {self._refused[player]}, not with (init MODEL {player[0]} {player[1]})"
 
     def _read(self) -> None:
-        assert self._process.stdout is not None
-        while data := self._process.stdout.read(1 << 16):
+        while data := self._output.read(1 << 16):
             *lines, self._rest = (self._rest + data).split(b"\n")
             for line in lines:
                 team, number, what, *words = line.decode("ascii").split(" ", 3)
@@ -107,10 +101,4 @@ class AgentEndpoints:
 
     def close(self) -> None:
         """Close them, after each of the agents has been stopped."""
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._process.stop()

@@ -20,6 +20,7 @@ from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
 from naosprint.matches.containers import AgentContainer, ContainerAgents
 from naosprint.matches.endpoints import AgentEndpoints
 from naosprint.matches.log import GameLog, HalfRecorder, joined
+from naosprint.matches.relay import REFUSAL
 from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ _LOOK_S, _CPU_S = 1.0, 10.0
 """Wall-clock seconds between two looks at the players, and between two at their processor time."""
 _QUIET_S = 30.0
 """Seconds without a frame after which a server has failed: an agent that hangs costs 5, and each has its turn."""
+_STILL_FRAMES = 100
+"""Frames of the same time after which a server has failed."""
 
 
 class MatchError(RuntimeError):
@@ -186,6 +189,8 @@ class _Half:
         self._endpoints: AgentEndpoints | None = None
         self._entered: set[Player] = set()
         """Players whose agents have come through their endpoints."""
+        self._latest_s, self._still = 0.0, 0
+        """Time of the last frame, and the number of frames before it of the same time."""
         self._lost: list[dict[str, Any]] = []
         self._cpu_cycles, self._cpu_at = 0, 0.0
 
@@ -235,8 +240,19 @@ class _Half:
         return recorder
 
     def _next(self, monitor: GameMonitor, endpoints: AgentEndpoints, wait_s: float) -> Frame:
-        """Return the next frame; raise TeamFailedError if a player on the field has not come through its endpoint."""
+        """Return the next frame.
+
+        Raises:
+            ServerFailedError: the server's time goes back or stands still, since its simulation has started again.
+            TeamFailedError: a player on the field has not come through its endpoint.
+        """
         frame = monitor.next(time.monotonic() + wait_s)
+        self._still = self._still + 1 if frame.time_s == self._latest_s else 0
+        if frame.time_s < self._latest_s or self._still > _STILL_FRAMES:
+            raise ServerFailedError(
+                f"the server's simulation started again: its time is {frame.time_s:g} s after {self._latest_s:g} s"
+            )
+        self._latest_s = frame.time_s
         if frame.bodies.keys() - self._entered:
             self._entered = endpoints.entered()
         for side, number in sorted(frame.bodies.keys() - self._entered):
@@ -259,10 +275,15 @@ class _Half:
             while True:
                 frame = self._next(monitor, endpoints, deadline - time.monotonic() + _QUIET_S)
                 here = {player for player in frame.bodies if player[0] == name}
-                coming = {player for player, agent in self._agents.items() if player[0] == name and agent.alive()}
+                coming = {
+                    player
+                    for player, agent in self._agents.items()
+                    if player[0] == name and agent.alive() and not self._refusal(player)
+                }
                 late = time.monotonic() > deadline
                 if not here and (late or not coming):
-                    words = self._agents[name, 1].describe() + endpoints.refused((name, 1))
+                    first = name, 1
+                    words = self._agents[first].describe() + (self._refusal(first) or endpoints.refused(first))
                     raise TeamFailedError(f"team {'AB'[team]}: no player entered the field; player 1: {words}")
                 if here and (late or not last or coming <= set(frame.bodies)):
                     break
@@ -286,13 +307,15 @@ class _Half:
         """Note players that are no longer on the field."""
         noted = {(each["side"], each["number"]) for each in self._lost}
         for player, agent in self._agents.items():
-            alive = agent.alive()
-            if player not in noted and (player not in frame.bodies or not alive) and frame.mode != _GAME_OVER:
-                reason = "dropped by the server after 5 s without a message" if alive else agent.describe()
-                team = self._names.index(player[0])
-                self._lost.append(
-                    {"side": player[0], "team": team, "number": player[1], "clock_s": frame.clock_s, "reason": reason}
-                )
+            alive, refusal = agent.alive(), self._refusal(player).removeprefix("; ")
+            if player in noted or (frame.mode == _GAME_OVER and not refusal):  # agents may end with the half
+                continue
+            if refusal or player not in frame.bodies or not alive:
+                side, number = player
+                ended = "dropped by the server after 5 s without a message" if alive else agent.describe()
+                reason = refusal or ended
+                team, clock_s = self._names.index(side), self._clock_s(frame)
+                self._lost.append({"side": side, "team": team, "number": number, "clock_s": clock_s, "reason": reason})
                 if alive:
                     agent.stop()
         if time.monotonic() - self._cpu_at > _CPU_S or frame.mode == _GAME_OVER:
@@ -301,6 +324,20 @@ class _Half:
                 agent.note_cpu(used_s)
             self._cpu_at = time.monotonic()
         self._cpu_cycles = round(frame.time_s / 0.02)
+
+    def _refusal(self, player: Player) -> str:
+        """Return why the endpoint of a player closed its connection, to follow other words; empty if it did not."""
+        assert self._endpoints is not None
+        try:
+            why = self._endpoints.folder(player).with_name(REFUSAL.format(*player)).read_text(encoding="ascii")
+        except FileNotFoundError:
+            return ""
+        return f"; its endpoint closed the connection: {why}"
+
+    def _clock_s(self, frame: Frame) -> float:
+        """Return the play time in the half; the server's clock counts both halves of 300 s."""
+        half_s = self._settings.half_s
+        return min(half_s, max(0.0, frame.clock_s - _first_second(self._number, half_s)))
 
     def _moment(self, frame: Frame, recorder: HalfRecorder) -> Moment:
         """Return what people see of the half now."""
@@ -318,7 +355,7 @@ class _Half:
         return Moment(
             share=(self._number + share) / 2,
             half=self._number,
-            clock_s=max(0.0, frame.clock_s - _first_second(self._number, self._settings.half_s)),
+            clock_s=self._clock_s(frame),
             mode=PLAY_MODES[frame.mode],
             goals=(self._goals[0] + goals[0], self._goals[1] + goals[1]),
             ball=(round(x, 2), round(y, 2)),

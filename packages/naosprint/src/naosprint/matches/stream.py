@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,10 @@ PLAY_MODES = (
 """Names of the play modes; messages contain the index."""
 
 _STATE = re.compile(
-    r"\(\(gs 1 0\)\(time ([-\d.e]+)\)\(half (\d)\)\(score_left (\d+)\)\(score_right (\d+)\)\(play_mode (\d+)\)(.*)"
+    r"\(\(gs 1 0\)\(time ([-\d.e]+)\)\(half (\d)\)\(score_left (\d+)\)\(score_right (\d+)\)\(play_mode (\d+)\)"
 )
 _TIME = re.compile(r"\(\(gt 1 0\)([-\d.e]+)\)")
 _AGENT = re.compile(r" DSC\(agent (\S+) (\d+)\)")
-_FOUL = re.compile(r"\(foul (\d+) ([12]) (\d+)\)")
 _NODE, _TRANSFORM, _BALL = "(nd", " TRF(SLT ", " DSC(ball)"
 
 Player = tuple[str, int]
@@ -45,7 +44,6 @@ class Frame:
         ball_m: (3,) position.
         bodies: by player, (B, 4, 3): the rows are the axes of a body in its parent, and its position there. The first
             is the torso in the world; each of the others has one joint, in the robot's order.
-        fouls: number of the foul, 1 for left or 2 for right, uniform number.
     """
 
     time_s: float
@@ -54,7 +52,6 @@ class Frame:
     score: tuple[int, int]
     ball_m: NDArray[np.float64]
     bodies: dict[Player, NDArray[np.float32]]
-    fouls: list[tuple[int, int, int]] = field(default_factory=list)
 
 
 class Stream:
@@ -83,7 +80,7 @@ class Stream:
         elif len(nodes) != self._nodes:
             raise StreamError(f"{len(nodes)} nodes changed, of a scene with {self._nodes}")
         self._apply(nodes)
-        clock, _, left, right, mode, rest = state.groups()
+        clock, _, left, right, mode = state.groups()
         return Frame(
             time_s=float(time[1]),
             clock_s=float(clock),
@@ -91,7 +88,6 @@ class Stream:
             score=(int(left), int(right)),
             ball_m=self._place.copy(),
             bodies={player: poses.copy() for player, poses in self._poses.items()},
-            fouls=[(int(kind), int(side), int(number)) for kind, side, number in _FOUL.findall(rest)],
         )
 
     def _learn(self, nodes: list[str]) -> None:

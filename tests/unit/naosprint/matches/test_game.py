@@ -1,0 +1,40 @@
+"""A half on a server whose time does not pass."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from naosprint.matches.game import GameSettings, ServerFailedError, _Half
+from naosprint.matches.stream import Frame
+from naosprint.matches.teams import Team
+
+
+class Times:
+    """A monitor with frames of some times."""
+
+    def __init__(self, *times_s: float) -> None:
+        self._times_s = iter(times_s)
+
+    def next(self, _deadline: float) -> Frame:
+        return Frame(time_s=next(self._times_s), clock_s=0.0, mode=0, score=(0, 0), ball_m=np.zeros(3), bodies={})
+
+
+@pytest.mark.parametrize(
+    ("times_s", "frames"),
+    [([0.04, 0.08, 0.08, 0.12], 4), ([0.04, *[0.08] * 99, 0.12], 101), ([8.0, 0.02], 1), ([0.04, *[0.08] * 110], 102)],
+    ids=["passes", "stands shortly", "goes back", "stands"],
+)
+def test_a_half_ends_when_its_servers_time_stands_still_or_goes_back(
+    times_s: list[float], frames: int, tmp_path: Path
+) -> None:
+    team = Team(tmp_path, ("true",))
+    half = _Half((team, team), ("a", "b"), 0, 0, GameSettings(), (0, 0))
+    monitor = cast("Any", Times(*times_s))
+    for _ in range(frames):
+        half._next(monitor, cast("Any", None), 1.0)
+    if frames < len(times_s):
+        with pytest.raises(ServerFailedError, match=f"its time is {times_s[frames]:g} s after {max(times_s):g} s"):
+            half._next(monitor, cast("Any", None), 1.0)
