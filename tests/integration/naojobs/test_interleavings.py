@@ -15,11 +15,12 @@ from random import Random
 from typing import Any
 
 import pytest
-from naojobs import leases, outcomes, policies, requests, studies, submission
+from naojobs import leases, matches, outcomes, policies, requests, studies, submission
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.leases import JobClaim
+from naojobs.matches import MatchRequest
 from naojobs.models import Evaluation, Event, Job
 from naojobs.quotas import Quota
 from naojobs.settings import ServiceSettings
@@ -299,6 +300,10 @@ def test_quotas_and_names_are_waited_for_before_rows_are_locked(sessions: Sessio
         request = StudyRequest(JobRequest(), SearchSpec.model_validate({"space": space}))
         return studies.submit_study(sessions, request, owner="alice", limits=limits)[0].id
 
+    def match() -> object:
+        wanted = MatchRequest(teams=("example", "example"), games=1, players=1, half_s=1.0)
+        return matches.submit_match(sessions, wanted, owner="alice", limits=limits)
+
     parent, ended, paused, trained, tuned = job(), job(), job(), job(), study()
     requests.request_cancel(sessions, Job, ended)
     requests.request_pause(sessions, paused)
@@ -317,6 +322,7 @@ def test_quotas_and_names_are_waited_for_before_rows_are_locked(sessions: Sessio
         "evaluate": lambda: submission.submit_evaluation(sessions, trained, EvaluationRequest(), limits=limits),
         "register": lambda: policies.register(sessions, "quick", wanted, limits=limits),
         "study": study,
+        "match": match,
         "extend": lambda: studies.extend_study(sessions, tuned, 30, limits=limits),
     }
     event.listen(Engine, "before_cursor_execute", note)
@@ -327,5 +333,7 @@ def test_quotas_and_names_are_waited_for_before_rows_are_locked(sessions: Sessio
             first = seen.index("row")
             assert first > 0, name
             assert {each for each in seen[first:] if each != "row"} <= set(seen[:first]), name
+            names = seen.index("name:") if "name:" in seen else first
+            assert {each for each in seen[names:first] if each != "name:"} <= set(seen[:names]), name
     finally:
         event.remove(Engine, "before_cursor_execute", note)

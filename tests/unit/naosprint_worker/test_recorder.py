@@ -206,15 +206,13 @@ def test_a_database_that_comes_back_loses_nothing(make: Callable[..., Recorder],
     assert sink.of("metrics") == list(range(50))
 
 
-def test_patience_ends_with_the_reason(sink: Memory, tmp_path: Path) -> None:
-    told = threading.Event()
-    recorder = Recorder(sink, spool=Spool(tmp_path / "spool"), flush_s=0.01, patience_s=0.2, on_failure=told.set)
+def test_patience_ends_with_the_reason(make: Callable[..., Recorder], sink: Memory) -> None:
+    recorder = make(patience_s=0.2)
     sink.fail_writes = ConnectionError("gone for good")
     recorder.metrics({"step": 1})
-    assert told.wait(30)
-    assert recorder.failed
     with pytest.raises(PatienceExhaustedError, match=r"writing to the database: gave up after .*gone for good"):
-        recorder.close(30)
+        recorder.flush(30)
+    assert recorder.failed
 
 
 def test_a_store_that_is_away_is_waited_for_within_the_limit_of_the_disk(

@@ -85,8 +85,6 @@ class JobClaim:
     name: str
     spec: TrainingSpec
     evaluation: EvaluationSpec | None
-    resume_from: CheckpointRef | None
-    """The job's own newest checkpoint, to continue from."""
     initial_policy: CheckpointRef | None
     """The checkpoint of another job to take the initial policy from; none when there is something to resume."""
     bundled_policy: str | None = None
@@ -237,8 +235,8 @@ def _job_claim(session: Session, job: Job, lease: Lease) -> JobClaim:
     """Return what a locked job does and starts from. Raises ValidationError, _RefusedError."""
     spec = read_stored(TrainingSpec, job.spec)
     evaluation = read_stored(EvaluationSpec, job.evaluation) if job.evaluation else None
-    own, parent, bundled = newest_checkpoint(session, job.id), None, None
-    if own is None and job.needs_policy:
+    parent = bundled = None
+    if job.needs_policy and newest_checkpoint(session, job.id) is None:
         bundled = job.parent_policy if job.parent_policy in naopolicies.names() else None
         parent = _parent_policy(session, job) if bundled is None else None
         if parent is None and bundled is None:
@@ -248,7 +246,6 @@ def _job_claim(session: Session, job: Job, lease: Lease) -> JobClaim:
         name=job.name,
         spec=spec,
         evaluation=evaluation,
-        resume_from=CheckpointRef.of(own) if own else None,
         initial_policy=CheckpointRef.of(parent) if parent else None,
         bundled_policy=bundled,
     )

@@ -13,13 +13,14 @@ from sqlalchemy import func, select, update
 from naojobs.capabilities import MATCH_QUEUE, MATCH_VERSION, Requirements, match_task
 from naojobs.changes import add_event
 from naojobs.database import Sessions, notify
+from naojobs.idempotency import earlier, hold_names
 from naojobs.ids import new_id
 from naojobs.leases import Lease, held_by, hold_as, lost
 from naojobs.models import Match, MatchEvent, MatchGame
-from naojobs.quotas import NO_LIMITS, SPACE, Limits, Quota, require_room
+from naojobs.quotas import NO_LIMITS, SPACE, Limits, Quota, require_room, wait_for_turn
 from naojobs.states import WorkState
 from naojobs.store import StoreManifest
-from naojobs.submission import digest_of, same_request
+from naojobs.submission import digest_of
 from naojobs.teams import Film, MatchSpec, find_team
 
 MAX_GAMES = 1000
@@ -64,13 +65,12 @@ def submit_match(
     """
     digest = request.digest() if idempotency_key is not None else None
     with sessions.begin() as session:
-        # Two requests with the same key must not both find that it is new.
-        session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"matches:{owner}", 0))))
-        if idempotency_key is not None:
-            known = select(Match).where(Match.owner == owner, Match.idempotency_key == idempotency_key)
-            if (earlier := session.scalar(known)) is not None:
-                return same_request(earlier, digest), False
-        require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS, *SPACE)
+        quotas = (Quota.OPEN_JOBS, Quota.JOBS, *SPACE)
+        wait_for_turn(session, owner, limits, *quotas)
+        hold_names(session, owner)
+        if (made := earlier(session, Match, Match.owner == owner, idempotency_key, digest)) is not None:
+            return made, False
+        require_room(session, owner, limits, *quotas)
         first, second = (find_team(session, owner, text, f"teams.{i}") for i, text in enumerate(request.teams))
         spec = MatchSpec(
             teams=(first, second),

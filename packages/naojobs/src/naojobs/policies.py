@@ -22,6 +22,7 @@ from naojobs.changes import add_event, lock
 from naojobs.checkpoints import in_use, trained_checkpoint
 from naojobs.database import Sessions, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
+from naojobs.idempotency import earlier
 from naojobs.ids import new_id
 from naojobs.lineage import lineage_of, trained_by
 from naojobs.models import Checkpoint, Job, PolicyAlias, PolicyRecord, PolicyVersion
@@ -98,15 +99,8 @@ def register(
             select(PolicyRecord).where(PolicyRecord.owner == job.owner, PolicyRecord.name == name).with_for_update()
         ).one()
         of_policy = PolicyVersion.policy_id == policy.id
-        if idempotency_key is not None:
-            earlier = session.scalar(
-                select(PolicyVersion).where(of_policy, PolicyVersion.idempotency_key == idempotency_key)
-            )
-            if earlier is not None:
-                if earlier.idempotency_digest != digest:
-                    message = f"the key was used for another request, which made {name}@{earlier.number}; use a new key"
-                    raise ConflictError(message, "Idempotency-Key")
-                return earlier, False
+        if (made := earlier(session, PolicyVersion, of_policy, idempotency_key, digest)) is not None:
+            return made, False
         checkpoint = _checkpoint(session, wanted)
         same = session.scalar(
             select(PolicyVersion.number).where(of_policy, PolicyVersion.checkpoint_id == checkpoint.id)

@@ -14,26 +14,18 @@ from naospec.metrics import EPISODE_METRICS, Metric, for_family
 from naospec.search import Objective, SearchSpec
 from pydantic import ValidationError
 from sqlalchemy import func, select
-from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from naojobs import policies
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
+from naojobs.idempotency import earlier, hold_names
 from naojobs.ids import new_id
 from naojobs.models import PolicyRecord, Study, StudyState, Trial, TrialState
 from naojobs.quotas import NO_LIMITS, SPACE, Limits, Quota, require_room, wait_for_turn
 from naojobs.requests import cancel_open
-from naojobs.submission import (
-    JobRequest,
-    check_evaluation,
-    check_fit,
-    free_name,
-    hold_names,
-    same_request,
-    with_parent,
-)
+from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, with_parent
 from naojobs.webhooks import MessageType, publish
 
 MAX_FAILURES_IN_A_ROW = 5
@@ -91,46 +83,39 @@ def submit_study(
             for other in ends[1:]:
                 check_fit(other, ends[0].spec, field=f"search.space.{name}")
     digest = request.digest() if idempotency_key is not None else None
-    same_key = (Study.owner == owner, Study.idempotency_key == idempotency_key)
     with sessions.begin() as session:
-        wait_for_turn(session, owner, limits, Quota.STUDIES, Quota.JOBS, *SPACE)
-        if idempotency_key is not None and (earlier := session.scalar(select(Study).where(*same_key))) is not None:
-            return same_request(earlier, digest), False
-        require_room(session, owner, limits, Quota.STUDIES, Quota.JOBS, *SPACE)
+        quotas = (Quota.STUDIES, Quota.JOBS, *SPACE)
+        wait_for_turn(session, owner, limits, *quotas)
         hold_names(session, owner)
+        if (made := earlier(session, Study, Study.owner == owner, idempotency_key, digest)) is not None:
+            return made, False
+        require_room(session, owner, limits, *quotas)
         with within("job"):
             job = _with_pinned_parent(session, request.job, owner, see_all)
             for other in at_ends:
                 with_parent(session, other, owner, see_all)
-        study_id = session.scalar(
-            insert(Study)
-            .values(
-                id=new_id("study"),
-                name=free_name(session, Study, owner, request.display_name),
-                owner=owner,
-                spec=search.model_dump(mode="json"),
-                job={
-                    "spec": stored(job.spec),
-                    "evaluation": stored(job.evaluation) if job.evaluation else None,
-                    "tags": list(job.tags),
-                    "priority": job.priority,
-                    "max_attempts": job.max_attempts,
-                    **({} if job.not_before is None else {"not_before": job.not_before.isoformat()}),
-                    **{name: value for name in PARENT if (value := getattr(job, name)) is not None},
-                },
-                state=StudyState.RUNNING,
-                idempotency_key=idempotency_key,
-                idempotency_digest=digest,
-            )
-            .on_conflict_do_nothing(index_elements=[Study.owner, Study.idempotency_key])
-            .returning(Study.id)
+        study = Study(
+            id=new_id("study"),
+            name=free_name(session, Study, owner, request.display_name),
+            owner=owner,
+            spec=search.model_dump(mode="json"),
+            job={
+                "spec": stored(job.spec),
+                "evaluation": stored(job.evaluation) if job.evaluation else None,
+                "tags": list(job.tags),
+                "priority": job.priority,
+                "max_attempts": job.max_attempts,
+                **({} if job.not_before is None else {"not_before": job.not_before.isoformat()}),
+                **{name: value for name in PARENT if (value := getattr(job, name)) is not None},
+            },
+            state=StudyState.RUNNING,
+            idempotency_key=idempotency_key,
+            idempotency_digest=digest,
         )
-        if study_id is not None:
-            return session.get_one(Study, study_id), True
-        earlier = session.scalar(select(Study).where(*same_key))
-        if earlier is None:
-            raise ConflictError("a study with this key was deleted just now; send the request again", "Idempotency-Key")
-        return same_request(earlier, digest), False
+        session.add(study)
+        session.flush()
+        session.refresh(study)
+    return study, True
 
 
 def _with_pinned_parent(session: Session, job: JobRequest, owner: str, see_all: bool) -> JobRequest:

@@ -10,14 +10,13 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import datetime
-from typing import Any, TypeVar
+from typing import Any
 
 import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, stored, validation_words
 from naospec.flat import nest
 from pydantic import ValidationError
 from sqlalchemy import func, select
-from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from naojobs import policies
@@ -26,13 +25,12 @@ from naojobs.changes import add_event, lock
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions, notify, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
+from naojobs.idempotency import earlier, hold_names
 from naojobs.ids import new_id
 from naojobs.lineage import trained_by
-from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Match, PolicyRecord, Study
+from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, PolicyRecord, Study
 from naojobs.quotas import NO_LIMITS, SPACE, Limits, Quota, require_room, wait_for_turn
 from naojobs.states import ENDED, OPEN, WorkState
-
-J = TypeVar("J", Job, Study, Match, Evaluation)
 
 INVISIBLE = frozenset({"Cc", "Cf", "Zl", "Zp"})
 """Categories of characters that no name has: controls, formats, separators of lines and paragraphs."""
@@ -218,61 +216,41 @@ def add_job(
     """Queue a new job as `submit` does, as part of a transaction; `digest` is that of the whole request of a group."""
     if idempotency_key is not None and digest is None:
         digest = request.digest()
-    if idempotency_key is not None:
-        earlier = session.scalar(
-            select(Job).where(Job.owner == owner, Job.idempotency_key == idempotency_key),
-        )
-        if earlier is not None:
-            return same_request(earlier, digest), False
-    require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS, *SPACE)
+    quotas = (Quota.OPEN_JOBS, Quota.JOBS, *SPACE)
+    wait_for_turn(session, owner, limits, *quotas)
     hold_names(session, owner)
+    if (made := earlier(session, Job, Job.owner == owner, idempotency_key, digest)) is not None:
+        return made, False
+    require_room(session, owner, limits, *quotas)
     request = with_parent(session, request, owner, see_all)
     check_evaluation(request.evaluation, request.spec, "evaluation")
-    job_id = session.scalar(
-        insert(Job)
-        .values(
-            id=new_id("job"),
-            name=free_name(session, Job, owner, request.display_name),
-            owner=owner,
-            tags=list(dict.fromkeys(request.tags)),
-            spec=stored(request.spec),
-            evaluation=stored(request.evaluation) if request.evaluation else None,
-            **asdict(Requirements.of_training(request.spec)),
-            priority=request.priority,
-            not_before=request.not_before,
-            state=WorkState.QUEUED,
-            max_attempts=request.max_attempts,
-            parent_job_id=request.parent_job_id,
-            parent_checkpoint_id=request.parent_checkpoint_id,
-            parent_policy=request.parent_policy,
-            needs_policy=request.parent_job_id is not None or request.parent_policy is not None,
-            group_id=group_id,
-            idempotency_key=idempotency_key,
-            idempotency_digest=digest,
-            total_steps=request.spec.planned_steps,
-            queued_at=func.now(),
-        )
-        .on_conflict_do_nothing(index_elements=[Job.owner, Job.idempotency_key])
-        .returning(Job.id),
+    job = Job(
+        id=new_id("job"),
+        name=free_name(session, Job, owner, request.display_name),
+        owner=owner,
+        tags=list(dict.fromkeys(request.tags)),
+        spec=stored(request.spec),
+        evaluation=stored(request.evaluation) if request.evaluation else None,
+        **asdict(Requirements.of_training(request.spec)),
+        priority=request.priority,
+        not_before=request.not_before,
+        state=WorkState.QUEUED,
+        max_attempts=request.max_attempts,
+        parent_job_id=request.parent_job_id,
+        parent_checkpoint_id=request.parent_checkpoint_id,
+        parent_policy=request.parent_policy,
+        needs_policy=request.parent_job_id is not None or request.parent_policy is not None,
+        group_id=group_id,
+        idempotency_key=idempotency_key,
+        idempotency_digest=digest,
+        total_steps=request.spec.planned_steps,
+        queued_at=func.now(),
     )
-    if job_id is None:  # another request with the same key was faster
-        earlier = session.scalar(select(Job).where(Job.owner == owner, Job.idempotency_key == idempotency_key))
-        if earlier is None:
-            raise ConflictError("a job with this key was deleted just now; send the request again", "Idempotency-Key")
-        return same_request(earlier, digest), False
-    job = session.get_one(Job, job_id, with_for_update=True)
+    session.add(job)
+    session.flush()
+    session.refresh(job)
     add_event(session, job, "queued", "submitted", {"owner": owner})
     return job, True
-
-
-def same_request(earlier: J, digest: str | None) -> J:
-    """Return what an earlier request with the same key made. Raises ConflictError if it was another request."""
-    if earlier.idempotency_digest != digest:
-        raise ConflictError(
-            f"the key was used for another request, which made {earlier.id}; use a new key",
-            "Idempotency-Key",
-        )
-    return earlier
 
 
 def edit(
@@ -322,22 +300,14 @@ def edit(
     return job
 
 
-def hold_names(session: Session, owner: str) -> None:
-    """Wait until no other transaction names jobs or studies of `owner`: two must not both see the same free name.
-
-    A transaction that locks rows does it before, and behind its quotas: that prevents deadlocks.
-    """
-    session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"name:{owner}", 0))))
-
-
 def free_name(session: Session, model: type[Job] | type[Study], owner: str, name: str) -> str:
     """Return a name that no job, or no study, of `owner` has: `name`, or with a number.
 
+    The transaction holds the names (`hold_names`).
     Raises InvalidError for characters that would act on a terminal instead of being shown, also in composed names.
     """
     if any(unicodedata.category(character) in INVISIBLE for character in name):
         raise InvalidError("expected text without control, format and separator characters", "name")
-    hold_names(session, owner)
     beginning = name[:190]
     taken = set(
         session.scalars(
@@ -456,10 +426,8 @@ def submit_evaluation(
         job = lock(session, Job, job_id)
         if job is None:
             raise NotFoundError(f"no job {job_id}")
-        if idempotency_key is not None:
-            same_key = (Evaluation.job_id == job_id, Evaluation.idempotency_key == idempotency_key)
-            if (earlier := session.scalar(select(Evaluation).where(*same_key))) is not None:
-                return same_request(earlier, digest), False
+        if (made := earlier(session, Evaluation, Evaluation.job_id == job_id, idempotency_key, digest)) is not None:
+            return made, False
         checkpoint = _checkpoint_of(session, job_id, request.checkpoint_id)
         is_open = (Evaluation.job_id == job_id, Evaluation.state.in_(OPEN))
         waiting = session.scalar(select(func.count()).select_from(Evaluation).where(*is_open))

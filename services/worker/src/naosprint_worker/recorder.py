@@ -69,7 +69,6 @@ class Recorder:
         flush_s: float = 1.0,
         patience_s: float = 300.0,
         stop: Callable[[], bool] = lambda: False,
-        on_failure: Callable[[], None] | None = None,
     ) -> None:
         """Start the threads; checkpoints wait in ``spool`` until they are recorded.
 
@@ -81,7 +80,6 @@ class Recorder:
         self._spool_bytes = spool_bytes
         self._patience_s = patience_s
         self._stop = stop
-        self._on_failure = on_failure
         self._usage = Usage()
         self._changed = threading.Condition()
         self._rows: deque[Item] = deque()
@@ -268,8 +266,6 @@ class Recorder:
                 self._uploads.clear()
                 self._changed.notify_all()
             self._abandon.set()
-            if self._on_failure is not None:
-                self._on_failure()
 
     def _write_rows(self) -> None:
         while True:

@@ -47,14 +47,13 @@ _LEAVE_S = 1.0
 
 
 class MujocoFleet(Fleet):
-    """One Booster robot on each of n servers; commands are target angles in rad.
+    """One Booster robot of the left team on each of n servers; commands are target angles in rad.
 
     Args:
         servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
             run already, which cannot be replaced.
         robot: the robot, with its gains.
         n: number of servers; only with a launcher.
-        team: name of the robots' team; they play on the left.
         timeout_s: time without a reply after which a server has failed.
         start_timeout_s: the same for the start of a server and its first answers.
         max_failures: number of servers that may be replaced before `replace` raises.
@@ -79,7 +78,6 @@ class MujocoFleet(Fleet):
         robot: Robot,
         n: int | None = None,
         *,
-        team: str = "naosprint",
         timeout_s: float = 10.0,
         start_timeout_s: float = 60.0,
         max_failures: int = 100,
@@ -93,10 +91,7 @@ class MujocoFleet(Fleet):
             start_timeout_s=start_timeout_s,
             max_failures=max_failures,
         )
-        if not team or not team.isalnum() or not team.isascii():
-            raise ValueError(f"team: must be letters and digits, not {team!r}")
         self.robot = robot
-        self._team = team
         self._monitors: dict[int, socket.socket] = {}
         self._keeps_monitors = ball
         kp, kd = gains(robot)
@@ -234,7 +229,7 @@ class MujocoFleet(Fleet):
             return max(0.1, deadline - time.monotonic())
 
         model = self.robot.data["model"]
-        exchange.post(row, False, f"(init {model} {self._team} {UNIFORM_NUMBER})".encode())
+        exchange.post(row, False, f"(init {model} naosprint {UNIFORM_NUMBER})".encode())
         exchange.collect(only, 1, 0, left_s())
         x, y = PARKED_BALL_M
         monitor.sendall(_framed(f"(ball (pos {x} {y} {RCSSSERVERMJ.ball_radius_m})(vel 0 0 0))"))

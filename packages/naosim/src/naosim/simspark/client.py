@@ -212,11 +212,6 @@ class RemoteBatch(Fleet):
         if late:
             self._trainer(row, "(time 0)(playMode PlayOn)")
 
-    def trainer(self, row: int, command: str) -> None:
-        """Send trainer commands, such as `(ball (pos 0 0 0.042))`, to one server."""
-        with self._lock:
-            self._trainer(row, command)
-
     def _trainer(self, row: int, command: str) -> None:
         self._exchange.post(row, True, command.encode())
 

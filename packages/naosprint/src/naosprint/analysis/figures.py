@@ -258,15 +258,14 @@ def joint_angles(angles_rad: FloatArray, robot: Robot, first: int) -> Figure:
     return figure
 
 
-def frame_strip(replay: Replay, frames: Sequence[int], camera: Camera | None = None) -> Figure:
+def frame_strip(replay: Replay, frames: Sequence[int]) -> Figure:
     """Draw the robot of some steps side by side, with the time below each."""
-    camera = camera or Camera()
     size = scale(replay)
     pitch, bottom, top = 0.44 * size, -0.15 * size, 0.62 * size
     figure = Figure(figsize=(9.0, 9.0 * (top - bottom) / (pitch * len(frames))))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     for place, frame in enumerate(frames):
-        axes.add_collection(robot_collection(replay, frame, camera, shift=(place * pitch, 0.0)))
+        axes.add_collection(robot_collection(replay, frame, Camera(), shift=(place * pitch, 0.0)))
         label = f"{(frame - frames[0]) * STEP_S * 1000:.0f} ms"
         axes.annotate(label, (place * pitch, bottom + 0.02 * size), ha="center", fontsize=8.5)
     axes.set_xlim(-0.5 * pitch, (len(frames) - 0.5) * pitch)

@@ -35,17 +35,12 @@ _CHALK = "#ffffff"
 
 
 class Film:
-    """Pictures of a replay, taken by a camera that follows the robot.
+    """Pictures of a replay, taken by a camera that follows the robot."""
 
-    Args:
-        replay: the episode.
-        camera: where it is seen from.
-    """
-
-    def __init__(self, replay: Replay, camera: Camera | None = None) -> None:
+    def __init__(self, replay: Replay) -> None:
         self._replay = replay
         self._span = _SPAN_M * scale(replay)
-        self._camera = camera or Camera(azimuth_deg=-14.0, elevation_deg=9.0)
+        self._camera = Camera(azimuth_deg=-14.0, elevation_deg=9.0)
         self._pixels_per_m = _SAMPLES * WIDTH_PX / self._span
         mono, sans = findfont("DejaVu Sans Mono"), findfont("DejaVu Sans")
         self._caption_font = ImageFont.truetype(mono, 18 * _SAMPLES)

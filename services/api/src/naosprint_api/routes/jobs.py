@@ -49,8 +49,6 @@ LIST = responses(401, 403, 422, 429, 503)
 CONTROL = responses(401, 403, 404, 409, 422, 429, 503)
 SUBMIT = responses(401, 403, 409, 413, 422, 429, 503)
 
-Text200 = Annotated[str | None, Query(max_length=200, pattern=PLAIN)]
-
 
 def job_filter(
     principal: Reader,

@@ -10,7 +10,7 @@ import { color, onTheme } from "./theme.js";
 export const PALETTE = ["--s1", "--s2", "--s3", "--s4", "--s5", "--s6", "--s7", "--s8"];
 
 /** Mix a token's colour with transparency. */
-export function faded(token, alpha) {
+function faded(token, alpha) {
   const hex = color(token);
   const n = Number.parseInt(hex.slice(1), 16);
   return `rgb(${n >> 16} ${(n >> 8) & 255} ${n & 255} / ${alpha})`;

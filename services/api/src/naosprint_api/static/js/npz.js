@@ -20,7 +20,7 @@ const TYPES = {
  * @param {ArrayBuffer} buffer
  * @returns {{shape: number[], data: ArrayLike<number>}} C order; 64-bit integers come as numbers.
  */
-export function readNpy(buffer) {
+function readNpy(buffer) {
   const view = new DataView(buffer);
   if (view.getUint32(0) !== 0x934e554d) throw new Error("not a numpy array file");
   const wide = view.getUint8(6) >= 2;

@@ -17,7 +17,7 @@ export const STATES = {
 };
 
 export const ACTIVE = ["queued", "starting", "running", "pausing", "paused", "evaluating"];
-export const ENDED = ["succeeded", "failed", "cancelled"];
+const ENDED = ["succeeded", "failed", "cancelled"];
 export const isEnded = (state) => ENDED.includes(state);
 export const tone = (state) => STATES[state]?.tone ?? "grey";
 

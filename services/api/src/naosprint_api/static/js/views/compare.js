@@ -59,7 +59,7 @@ const differing = (job, most = Infinity) => {
 };
 
 /** Read a curve at `x` by linear interpolation; null outside of it. */
-export function interpolate(xs, ys, x) {
+function interpolate(xs, ys, x) {
   let low = 0;
   let high = xs.length - 1;
   if (high < 0 || x < xs[0] || x > xs[high]) return null;
@@ -147,8 +147,25 @@ class CompareView {
     if (this.ids.length > MAX_JOBS)
       this.missing.push(`Only the first ${MAX_JOBS} of ${this.ids.length} jobs are shown.`);
     this.build();
-    follow("jobs/stream", { signal: this.signal, onEvent: (type, job) => type === "job" && this.onJob(job) });
+    follow("jobs/stream", {
+      signal: this.signal,
+      onEvent: (type, job) => {
+        if (type === "job") this.onJob(job);
+        if (type === "ready" || type === "reset") this.reread();
+      },
+    });
     this.stopTheme = onTheme(() => this.paintTable());
+  }
+
+  /** Read all jobs again: changes from before `ready` or `reset` may be missing. */
+  reread() {
+    for (const { job } of this.items)
+      call(`jobs/${encodeURIComponent(job.id)}`, { signal: this.signal }).then(
+        (changed) => this.onJob(changed),
+        () => {
+          /* it was deleted, or the next change shows it */
+        },
+      );
   }
 
   async item(id) {

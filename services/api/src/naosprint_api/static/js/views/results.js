@@ -32,7 +32,7 @@ export const stat = (label, value, unit, below, title) =>
   );
 
 /** A result as such a number. */
-export const resultStat = (r) => stat(r.title, metricText(r, r.value), shownUnit(r), note(r), r.description);
+const resultStat = (r) => stat(r.title, metricText(r, r.value), shownUnit(r), note(r), r.description);
 
 /** The headline of an evaluation or of a policy's card. */
 export const headlineStats = (summary) => headline(summary).map(resultStat);

@@ -16,7 +16,7 @@ const typed = (text) => (WORDS.has(text) ? WORDS.get(text) : Number.isNaN(number
  * Read the values of a setting as `naoctl tune --space` writes them: LOW..HIGH, with :log for a logarithmic scale, or
  * A|B|C. Throws an error that says what is expected.
  */
-export function searched(text, integer) {
+function searched(text, integer) {
   const range = RANGE.exec(text);
   if (range) {
     const [low, high] = [number(range[1]), number(range[2])];

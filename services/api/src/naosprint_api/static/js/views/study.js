@@ -25,7 +25,7 @@ export const studyBadge = (state) =>
   h("span", { class: "state", "data-tone": TONES[state] ?? "grey", "data-state": state }, words(state));
 
 /** Complete trials, the best in the first objective first. */
-export function ranking(study) {
+function ranking(study) {
   const factor = study.spec.objectives[0].direction === "maximize" ? -1 : 1;
   return study.trials
     .filter((trial) => trial.state === "complete")
@@ -33,7 +33,7 @@ export function ranking(study) {
 }
 
 /** A setting's value as text. */
-export const valueText = (value) =>
+const valueText = (value) =>
   typeof value === "number" && !Number.isInteger(value)
     ? significant(value, 4)
     : Array.isArray(value)
