@@ -25,7 +25,7 @@ from naosim.simspark import centre_of_mass
 from naosim.simspark.control import motor_speeds
 from naospec import TrainingSpec
 from naosprint import train
-from naosprint.export import build_check, build_header, describe, export_policy, policy_arrays
+from naosprint.export import build_check, build_header, build_onnx, describe, export_policy, policy_arrays
 from naosprint.export.header import exact_actions
 from naosprint.export.nao import kinematics
 from naosprint.rl.checkpoint import CheckpointError, Manifest
@@ -154,27 +154,52 @@ def test_exported_tables_are_the_robots_actuation(robot: str) -> None:
 
 @pytest.mark.parametrize("robot", ["nao-0", "t1"])
 def test_header_computes_what_the_checkpoint_does(robot: str, tmp_path: Path) -> None:
-    """Compiled with all warnings as errors; actions and joint targets to 1e-6."""
+    """Compiled with all warnings as errors; actions and joint targets to 1e-6.
+
+    An observation that is not finite leaves them as they are.
+    """
     policy, manifest = random_policy(robot)
     rng = np.random.default_rng(1)
     (tmp_path / "policy.h").write_text(build_header(policy, manifest))
     (tmp_path / "policy_check.c").write_text(build_check(policy))
     observations = policy.mean + rng.standard_normal((20, len(policy.mean))) / policy.scale
+    broken = observations.repeat(2, axis=0)
+    broken[1::2][[0, 1], [3, 29]] = np.nan, -np.inf
     (tmp_path / "run.c").write_text(RUN)
-    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
     for name in ("policy_check", "run"):
         subprocess.run(["cc", *flags, f"{name}.c", "-o", name, "-lm"], cwd=tmp_path, check=True)
     checked = subprocess.run([tmp_path / "policy_check"], capture_output=True, text=True, check=True).stdout
     assert checked.startswith("64 vectors, largest difference ")
-    values = " ".join(repr(float(value)) for value in observations.ravel())
+    values = " ".join(repr(float(value)) for value in broken.ravel())
     printed = subprocess.run([tmp_path / "run"], input=values, capture_output=True, text=True, check=True).stdout
-    found = np.array([line.split() for line in printed.splitlines()], dtype=np.float64)
+    returned, *found = np.array([line.split() for line in printed.splitlines()], dtype=np.float64).T
+    np.testing.assert_array_equal(returned, np.isfinite(broken).all(axis=1))
+    found = np.transpose(found)
+    np.testing.assert_array_equal(found[1::2], found[::2])
+    found = found[::2]
     actuation = Actuation(robots.get(robot))
     expected = exact_actions(policy, observations)
     np.testing.assert_allclose(found[:, : expected.shape[1]], expected, atol=1e-6)
     np.testing.assert_allclose(found[:, expected.shape[1] :], actuation.targets(expected), atol=1e-6)
     np.testing.assert_allclose(policy.act(observations), expected, atol=2e-5)
     assert expected.std() > 0.1
+
+
+def test_exports_of_double_weights_are_those_of_the_policy_that_was_evaluated() -> None:
+    """Policies act in single precision, whatever type the arrays of an algorithm have."""
+    policy, manifest = random_policy("nao-0")
+    layers = tuple((weights.astype(np.float64), bias.astype(np.float64)) for weights, bias in policy.layers)
+    double = replace(policy, layers=layers)
+    assert build_header(double, manifest) == build_header(policy, manifest)
+    assert build_onnx(double).SerializeToString() == build_onnx(policy).SerializeToString()
+    np.testing.assert_array_equal(double.act(policy.mean[None]), policy.act(policy.mean[None]))
+    for field, message in (
+        ({"layers": ((layers[0][0] * 1e39, layers[0][1]), *layers[1:])}, "weights of layer 0: .* finite in float32"),
+        ({"scale": np.append(policy.scale[1:], np.inf)}, "scale: expected numbers that are finite in float64"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replace(policy, **field)
 
 
 def test_two_policies_in_one_source_file_are_an_error(tmp_path: Path) -> None:
@@ -272,13 +297,13 @@ RUN = """
 
 int main(void)
 {
-    double observations[POLICY_OBSERVATIONS], actions[POLICY_ACTIONS], targets[POLICY_JOINTS];
+    double observations[POLICY_OBSERVATIONS], actions[POLICY_ACTIONS] = {0.0}, targets[POLICY_JOINTS];
     int i;
     for (;;) {
         for (i = 0; i < POLICY_OBSERVATIONS; i++)
             if (scanf("%lf", observations + i) != 1)
                 return 0;
-        policy_act(observations, actions);
+        printf("%d ", policy_act(observations, actions));
         policy_targets(actions, targets);
         for (i = 0; i < POLICY_ACTIONS; i++)
             printf("%.17g ", actions[i]);
@@ -440,7 +465,7 @@ int main(void)
 def test_two_policies_of_different_names_in_one_program(checkpoint: Path, tmp_path: Path) -> None:
     """Of two robots; each file has its name, and each header has a check of its own."""
     expected = []
-    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
     for name, robot in (("run_fast", "nao-0"), ("kick", "t1")):
         policy, manifest = random_policy(robot)
         (tmp_path / f"{name}.h").write_text(build_header(policy, manifest, name), encoding="utf-8")

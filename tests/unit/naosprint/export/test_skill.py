@@ -29,6 +29,7 @@ from naosprint.tasks import observations as offered
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.sprint import Sprint1
 from naosprint.terms import constant, given, sin, uniform
+from pydantic import Field
 
 
 def random_policy(robot: dict[str, Any], task: Any) -> tuple[NetworkPolicy, Manifest]:
@@ -367,12 +368,67 @@ def test_the_behavior_reads_and_commands_the_teams_robot(name: str, load: Callab
         made.execute(False)
 
 
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [
+        ("t1-run", "mujococodebase.skills.naosprint.runner"),
+        ("t1-run-blind", "mujococodebase.skills.naosprint.runner"),  # observes earlier steps, too
+        ("t1-keeper", "mujococodebase.skills.naosprint.runner"),
+        ("sprint-blind", "behaviors.custom.Naosprint.runner"),  # estimates its pose from step to step
+    ],
+)
+def test_a_cycle_that_is_not_finite_keeps_the_targets(name: str, module: str, load: Callable[[str, str], Any]) -> None:
+    """The next cycle acts again, also if the run begins with such a cycle."""
+    runners = load(name, module)
+    folder = Path(runners.__file__).parent
+    vectors = np.load(folder / "parity.npz")
+    inputs = [str(each) for each in vectors["inputs"]]
+    runner = runners.Runner(folder / "policy.npz")
+
+    def run(broken: int | None, lost: list[str]) -> np.ndarray:
+        runner.begin(**{str(each): vectors[f"begin_{each}"] for each in vectors["begin"]})
+        targets = []
+        for cycle in range(30):
+            perceived = {each: np.array(vectors[each][cycle]) for each in inputs}
+            if cycle == broken:
+                perceived |= {each: np.full_like(perceived[each], np.nan) for each in lost}
+            targets.append(runner.act(runner.observe(**perceived)))
+        return np.array(targets)
+
+    usual, start = run(None, []), runner.start_pose_rad
+    if "begin_action" in vectors:  # of the policy that walked so far
+        start = np.clip(runner.middle_rad + runner.reach_rad @ vectors["begin_action"], runner.low_rad, runner.high_rad)
+    for lost in (["gyro_deg"], inputs):
+        late, early = run(10, lost), run(0, lost)
+        np.testing.assert_array_equal(late[:10], usual[:10])
+        np.testing.assert_array_equal(late[10], late[9])
+        np.testing.assert_allclose(early[0], start, atol=1e-9)
+        for after in (late[10:], early):
+            assert (np.abs(np.diff(after, axis=0)).max(axis=1) > 0.0).all()
+    if hasattr(runner, "speeds"):
+        np.testing.assert_array_equal(runner.speeds(usual[0], np.full_like(usual[0], np.nan)), 0.0)
+
+
 def test_a_robot_without_team_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("naosprint.export.skill.TARGETS", {})
     policy, manifest = load_policy(naopolicies.folder("sprint"))
     with pytest.raises(ValueError, match="format skill: no team code for robots of family nao"):
         write_skill(policy, manifest, tmp_path)
     assert not any(tmp_path.iterdir())
+
+
+def test_a_skill_observes_as_many_earlier_steps_as_its_task(
+    tmp_path: Path, numpy_alone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also more than the bundled tasks offer."""
+
+    class Settings(Sprint1.Parameters):  # type: ignore[misc, name-defined]
+        history_steps: int = Field(default=15, ge=0, le=30, title="History", description="Earlier steps.")
+
+    monkeypatch.setattr(Sprint1, "Parameters", Settings)
+    files = write_skill(*random_policy({"name": "t1"}, "sprint1"), tmp_path)
+    assert np.load(files[0].parent / "parity.npz")["observations"].shape[1] % 16 == 0
+    assert check(files[0].parent, numpy_alone).returncode == 0
 
 
 @pytest.mark.parametrize("robot", ["nao-0", "t1"])

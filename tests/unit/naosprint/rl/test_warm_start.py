@@ -163,3 +163,9 @@ def test_only_what_a_policy_lacks_is_guessed() -> None:
     assert not found["mlp_extractor.policy_net.0.weight"][:, [1, 3, 4, 5]].any()
     critic = with_critic(found, len(now), ((), ("height",)))
     np.testing.assert_array_equal(critic[CRITIC_COUNTS], [blank])
+    # a critic that observes what the policy does leaves the rest out, also of a checkpoint without names
+    for before in (("height",), ()):
+        left = with_critic(critic, len(now), (before, ()))
+        assert left.keys() == found.keys()
+        for name in found:
+            np.testing.assert_array_equal(left[name], found[name])

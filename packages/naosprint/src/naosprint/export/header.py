@@ -36,11 +36,15 @@ _GUARD = """\
 """
 
 _CODE = """\
-/* Compute the actions, in [-1, 1], of raw observations. */
-static inline void policy_act(const double observations[POLICY_OBSERVATIONS], double actions[POLICY_ACTIONS])
+/* Compute the actions, in [-1, 1], of raw observations, and return 1. If an observation is not finite, the actions stay
+   as they are, and it returns 0: initialize them with those before the first cycle, such as zeros. */
+static inline int policy_act(const double observations[POLICY_OBSERVATIONS], double actions[POLICY_ACTIONS])
 {
     double z0[POLICY_WIDEST], z1[POLICY_WIDEST], *in = z0, *out = z1, *swap;
     int i;
+    for (i = 0; i < POLICY_OBSERVATIONS; i++)
+        if (!isfinite(observations[i]))
+            return 0;
     for (i = 0; i < POLICY_OBSERVATIONS; i++) {
         in[i] = (observations[i] - policy_mean[i]) * policy_scale[i];
 #ifdef POLICY_CLIP
@@ -50,6 +54,7 @@ static inline void policy_act(const double observations[POLICY_OBSERVATIONS], do
 %(layers)s
     for (i = 0; i < POLICY_ACTIONS; i++)
         actions[i] = fmin(fmax(in[i], -1.0), 1.0);
+    return 1;
 }
 
 /* Compute the target angles of all joints in radians, in the simulator's order and signs. */
@@ -96,10 +101,11 @@ _CHECK = """\
 %(actions)s
 int main(void)
 {
-    double actions[POLICY_ACTIONS], worst = 0.0;
+    double actions[POLICY_ACTIONS] = {0.0}, worst = 0.0;
     int n, i;
     for (n = 0; n < VECTORS; n++) {
-        policy_act(observations + n * POLICY_OBSERVATIONS, actions);
+        if (!policy_act(observations + n * POLICY_OBSERVATIONS, actions))
+            return 1;
         for (i = 0; i < POLICY_ACTIONS; i++)
             worst = fmax(worst, fabs(actions[i] - expected[n * POLICY_ACTIONS + i]));
     }

@@ -52,7 +52,7 @@ class NetworkPolicy(Policy):
         mean: (D,) subtracted from observations.
         scale: (D,) observations are multiplied by it then.
         clip: largest magnitude of a standardized observation; infinite where they are not standardized.
-        layers: weights (out, in) and bias (out,) of each layer.
+        layers: weights (out, in) and bias (out,) of each layer, in single precision, in which policies act.
         log_std: (A,) logarithm of the standard deviation with which training explored; None: no draws.
         activation: what follows each layer but the last.
         squashed: whether tanh follows the last layer; otherwise its outputs are clipped.
@@ -65,6 +65,22 @@ class NetworkPolicy(Policy):
     log_std: Float32Array | None = None
     activation: Literal["tanh", "relu"] = "tanh"
     squashed: bool = False
+
+    def __post_init__(self) -> None:
+        """Convert the arrays to the types in which every format of export computes; NumPy's default is double.
+
+        Raises:
+            ValueError: if a number is not finite in that precision.
+        """
+        layers = [
+            (_finite(f"weights of layer {i}", weights, np.float32), _finite(f"bias of layer {i}", bias, np.float32))
+            for i, (weights, bias) in enumerate(self.layers)
+        ]
+        object.__setattr__(self, "layers", tuple(layers))
+        for name in ("mean", "scale"):
+            object.__setattr__(self, name, _finite(name, getattr(self, name), np.float64))
+        if self.log_std is not None:
+            object.__setattr__(self, "log_std", _finite("log_std", self.log_std, np.float32))
 
     @property
     def n_actions(self) -> int:
@@ -106,6 +122,15 @@ class NetworkPolicy(Policy):
             actions = actions + spread * rng.standard_normal(actions.shape, dtype=np.float32)
         unit: FloatArray = np.clip(actions, -1.0, 1.0).astype(np.float64)
         return unit
+
+
+def _finite(name: str, array: AnyArray, kind: type[Real]) -> NDArray[Real]:
+    """Return an array of a network in the type that policies have; the same array if it has that type."""
+    with np.errstate(over="ignore"):
+        converted = np.asarray(array, dtype=kind)
+    if not np.isfinite(converted).all():
+        raise ValueError(f"{name}: expected numbers that are finite in {kind.__name__}; check the arrays of the policy")
+    return converted
 
 
 def load_policy(directory: Path) -> tuple[Policy, Manifest]:

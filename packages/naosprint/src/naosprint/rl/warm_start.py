@@ -78,7 +78,8 @@ def with_critic(
 ) -> Mapping[str, AnyArray]:
     """Rearrange a policy's arrays by the names of what only its critic observes, besides the policy's ``seen``.
 
-    New ones get weight 0 at first, and statistics without a sample. So do all of a checkpoint without their names.
+    New ones get weight 0 at first, and statistics without a sample. So do all of a checkpoint without their names. What
+    this critic does not observe is left out.
 
     Args:
         policy: weights and observation statistics by name, as in a checkpoint.
@@ -86,8 +87,9 @@ def with_critic(
         names: names of what only a critic observes, of the old training and of the new one.
     """
     means, weights = policy.get(_CRITIC[0], np.zeros(0)), policy.get(_FIRST_LAYERS[1], np.zeros(0))
-    before = names[0] if len(names[0]) == len(means) else ()
-    if tuple(before) == tuple(names[1]) or weights.ndim != 2:
+    named = len(names[0]) == len(means)
+    before = names[0] if named else ()
+    if (named and tuple(before) == tuple(names[1])) or weights.ndim != 2:
         return policy
     known, new = _indices(before, names[1])
     fitted = {name: array for name, array in policy.items() if name not in _CRITIC}

@@ -16,7 +16,8 @@ class Observations:
     def begin(self, arrays=None):
         """Begin a run; with `arrays`, by name, in the middle of another policy's.
 
-        What is stored with one of them, such as `velocity` with `velocity_position`, continues; the rest begins.
+        What is stored with one of them, such as `velocity` with `velocity_position`, continues; the rest begins. It
+        begins with the first observation whose numbers are all finite.
         """
         self.arrays, known = [np.zeros(width) for _, width in self.stored], arrays or {}
         self.continuing = set()
@@ -36,22 +37,29 @@ class Observations:
         return self.arrays[[each for each, _ in self.stored].index(name)]
 
     def observe(self, inputs):
-        """Return the observation, once per cycle. Raises KeyError for an input that is missing."""
+        """Return the observation, once per cycle. Raises KeyError for an input that is missing.
+
+        Of numbers that are not finite the next cycles remember the latest finite ones.
+        """
         self.inputs = inputs
         for target, begin, update in self.stores:
             place = begin if self.first and target not in self.continuing else update
             if place is not None:
-                self.arrays[target] = np.zeros(len(self.arrays[target])) + self.value(place, {})
+                self.arrays[target] = latest(self.value(place, {}), self.arrays[target])
         known, now, before = {}, [], iter(self.before or [])
         values = [self.value(place, known) for place, _, _ in self.blocks]
         for value, (_, rates, angular) in zip(values, self.blocks):
             now.append(value)
             rate = value - next(before, value) if rates else np.zeros(0)
             now.append((rate + np.pi) % (2 * np.pi) - np.pi if angular else rate)
-        self.before = [value for value, (_, rates, _) in zip(values, self.blocks) if rates]
-        self.first, seen = False, np.concatenate(now)
-        self.past = [seen, *(self.past or [seen] * 10)][:11]  # before a run everything was as it is at its start
-        return np.concatenate(self.past[: self.width // len(seen)])
+        seen = np.concatenate(now)
+        steps = self.width // len(seen)
+        past = self.past or [seen] * steps  # before a run everything was as it is at its start
+        if not self.first or np.isfinite(seen).all():
+            rated = [value for value, (_, rates, _) in zip(values, self.blocks) if rates]
+            self.before = [latest(*pair) for pair in zip(rated, self.before or rated)]
+            self.first, self.past = False, [latest(seen, past[0]), *past][:steps]
+        return np.concatenate([seen, *past][:steps])
 
     def value(self, place, known):
         """Return the numbers of a node; `known` has those that are computed already."""
@@ -82,3 +90,8 @@ class Observations:
         if function == "where":
             return np.where(values[0] != 0, *values[1:])
         return np.asarray(getattr(np, function)(*values), float)
+
+
+def latest(values, before):
+    """Return values, and those before them where they are not finite."""
+    return np.where(np.isfinite(values), values, before)

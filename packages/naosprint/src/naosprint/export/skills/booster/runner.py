@@ -3,9 +3,9 @@
 import numpy as np
 
 try:  # in the team's code, or beside check.py
-    from mujococodebase.skills.naosprint.terms import Observations
+    from mujococodebase.skills.naosprint.terms import Observations, latest
 except ModuleNotFoundError:
-    from terms import Observations
+    from terms import Observations, latest
 
 ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
 POWER_M = 10.0  # commanded distance of a kick as far as possible
@@ -38,14 +38,15 @@ class Runner:
         in the middle of a step, with the latest `action` and the torso's latest `position` of the policy that walked
         so far.
         """
-        self.heading, self.lane, self.walked = heading, None if lane is None else np.array(lane, float), position
+        self.heading, self.walked = np.nan if heading is None else heading, position
+        self.lane = np.full(2, np.nan) if lane is None else np.array(lane, float)
         self.command, self.cycles, self.position = np.zeros(3), 0, position
-        self.action = np.zeros(len(self.action_names)) if action is None else np.array(action, float)
+        self.action = np.zeros(len(self.action_names)) if action is None else np.nan_to_num(np.array(action, float))
         self.target, self.aimed = None, {}
         if self.kicks or self.dribbles:
             self.turn_to((0.0, np.inf if self.kicks else 1.0) if target is None else target)
         elif self.keeps:
-            self.target, self.aimed["aim"] = target, 0.0
+            self.target, self.aimed["aim"] = np.full(2, np.nan) if target is None else np.array(target, float), 0.0
         self.observations.begin()
 
     def turn_to(self, target):
@@ -102,8 +103,8 @@ class Runner:
         yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
         if self.aimed or self.observations.has("command"):
             self.heading = 0.0  # what these policies observe is the same in every direction
-        self.heading = yaw if self.heading is None else self.heading
-        self.lane = position[:2] if self.lane is None else self.lane
+        # NaN until both are perceived
+        self.heading, self.lane = float(latest(self.heading, yaw)), latest(self.lane, position[:2])
         if self.cycles == 0 and self.walked is not None:
             self.observations.begin({"velocity_position": self._along(self.walked)})
         self.position = position  # for a skill that continues this one
@@ -126,8 +127,8 @@ class Runner:
             if self.dribbles:
                 self.turn_to(self.target if target is None else target)
             elif self.keeps:
-                self.target = position[:2] - (GOAL_BEHIND_M, 0.0) if self.target is None else self.target
-                inputs["goal"] = self._along(np.array(self.target, float))
+                self.target = latest(self.target, position[:2] - (GOAL_BEHIND_M, 0.0))
+                inputs["goal"] = self._along(self.target)
             inputs.update(self.aimed)
         self.cycles += 1
         return self.observations.observe(inputs)
@@ -139,12 +140,16 @@ class Runner:
         return np.array([at_x + c * x + s * y, at_y + c * y - s * x, *position[2:]])
 
     def act(self, observation):
-        """Return the target angles of all joints in the order of `joint_names`."""
-        values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
-        for i in range(self.layers):
-            values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
-            values = ACTIVATIONS[str(self.activations[i])](values)
-        self.action = np.clip(values, -1, 1)
+        """Return the target angles of all joints in the order of `joint_names`.
+
+        They stay as they are if a number of the observation is not finite.
+        """
+        if np.isfinite(observation).all():
+            values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
+            for i in range(self.layers):
+                values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
+                values = ACTIVATIONS[str(self.activations[i])](values)
+            self.action = np.clip(values, -1, 1)
         return np.clip(self.middle_rad + self.reach_rad @ self.action, self.low_rad, self.high_rad)
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 try:  # in the team's code, or beside check.py
-    from behaviors.custom.Naosprint.terms import Observations
+    from behaviors.custom.Naosprint.terms import Observations, latest
 except ModuleNotFoundError:
-    from terms import Observations
+    from terms import Observations, latest
 
 ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
 
@@ -20,11 +20,12 @@ class Runner:
         # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
         noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
         self.start_targets = self.start_pose_rad + np.radians(noise)
+        self.start_action = np.linalg.lstsq(self.reach_rad, self.start_pose_rad - self.middle_rad, rcond=None)[0]
         self.begin()
 
     def begin(self, heading=0.0):
         """Begin a run."""
-        self.heading, self.cycles = heading, 0
+        self.heading, self.cycles, self.action = heading, 0, self.start_action
         self.observations.begin()
 
     def observe(self, yaw, height, angles_deg, gyro_deg, accel, left_foot, right_foot, vision=None, position=None):
@@ -39,7 +40,7 @@ class Runner:
         metres, theta and phi in degrees of each of `onboard_landmarks`, NaN where it is not seen.
         A policy that observes its velocity on the field needs the torso's position (2,) there, in metres.
         """
-        self.angles = np.array(angles_deg, float)
+        self.angles, self.heading = np.array(angles_deg, float), float(latest(self.heading, yaw))
         left_foot, right_foot = (np.where(np.any(foot), foot, np.nan) for foot in (left_foot, right_foot))
         inputs = {
             "yaw": (yaw - self.heading + np.pi) % (2 * np.pi) - np.pi,
@@ -69,14 +70,19 @@ class Runner:
         return self.body_mass @ at / self.body_mass.sum()
 
     def act(self, observation):
-        """Return the target angles of all joints in the order of `joint_names`, in radians."""
-        values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
-        for i in range(self.layers):
-            values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
-            values = ACTIVATIONS[str(self.activations[i])](values)
-        self.action = np.clip(values, -1, 1)
+        """Return the target angles of all joints in the order of `joint_names`, in radians.
+
+        They stay as they are if a number of the observation is not finite.
+        """
+        if np.isfinite(observation).all():
+            values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
+            for i in range(self.layers):
+                values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
+                values = ACTIVATIONS[str(self.activations[i])](values)
+            self.action = np.clip(values, -1, 1)
         return np.clip(self.middle_rad + self.reach_rad @ self.action, self.low_rad, self.high_rad)
 
     def speeds(self, targets, angles_deg):
-        """Return the speeds of all joints in rad/s that drive them to their targets."""
-        return np.clip(self.gain * (targets - np.radians(angles_deg)), -self.max_speed, self.max_speed)
+        """Return the speeds of all joints in rad/s that drive them to their targets; 0 where an angle is NaN."""
+        wanted = self.gain * (targets - np.radians(angles_deg))
+        return np.nan_to_num(np.clip(wanted, -self.max_speed, self.max_speed))
