@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime, timedelta
+from contextlib import ExitStack
+from datetime import datetime, timedelta
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -14,13 +17,14 @@ import httpx
 import psycopg
 import pytest
 from naojobs import outcomes, records
-from naojobs.database import notify
+from naojobs.database import make_engine, make_sessions, notify
 from naojobs.leases import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
 from naojobs.tokens import Scope, create_token, revoke
-from naosprint_api import broadcast
-from sqlalchemy import func, select, text
+from naosprint_api import broadcast, queries
+from naosprint_api.feed import Feed
+from sqlalchemy import Engine, event, func, select, text
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -160,20 +164,24 @@ def test_followers_hear_of_more_jobs_than_fit_into_one_read(
     """1,280 jobs change at the same time, as when a group is submitted."""
     monkeypatch.setattr(broadcast, "_IDLE_S", 1.0)
     model = client.post("/jobs", json={"tags": ["many"]}).json()["id"]
-    with sessions.begin() as session:
-        names = [column.name for column in Job.__table__.columns if column.name not in ("id", "updated_at")]
-        copied = ", ".join(f'"{name}"' for name in names)
-        session.execute(
-            text(
-                f"INSERT INTO jobs (id, updated_at, {copied}) SELECT 'job_' || lpad(n::text, 26, '0'), now(), {copied} "
-                "FROM jobs, generate_series(1, 1280) AS n WHERE id = :model"
-            ),
-            {"model": model},
-        )
+    own = {"id", "updated_at", "changed_in"}
+    names = [column.name for column in Job.__table__.columns if column.name not in own]
+    copied = ", ".join(f'"{name}"' for name in names)
     missing = {f"job_{number:026d}" for number in range(1, 1281)}
     pings = 0
     with client.stream("GET", "/jobs/stream", params={"tag": "many"}) as response:
-        for line in response.iter_lines():
+        lines = response.iter_lines()
+        assert next(lines) == "event: ready"
+        with sessions.begin() as session:
+            session.execute(
+                text(
+                    f"INSERT INTO jobs (id, updated_at, {copied}) "
+                    f"SELECT 'job_' || lpad(n::text, 26, '0'), now(), {copied} "
+                    "FROM jobs, generate_series(1, 1280) AS n WHERE id = :model"
+                ),
+                {"model": model},
+            )
+        for line in lines:
             pings += line.startswith(":")
             assert pings < 5, f"{len(missing)} jobs are missing"
             if line.startswith('data: {"id":"job_'):
@@ -184,41 +192,171 @@ def test_followers_hear_of_more_jobs_than_fit_into_one_read(
         session.execute(text("DELETE FROM jobs WHERE 'many' = ANY(tags)"))
 
 
-@pytest.mark.parametrize("returns", [False, True])
+def change(session: Session, job_id: str, at: Any) -> None:
+    """Set when a job has changed; its followers are notified once the transaction is committed."""
+    session.get_one(Job, job_id).updated_at = at
+    session.flush()
+    notify(session, job_id)
+
+
 def test_followers_hear_of_changes_after_the_databases_clock_was_set_back(
-    client: httpx.Client, sessions: Sessions, follow: Any, monkeypatch: pytest.MonkeyPatch, returns: bool
+    client: httpx.Client, sessions: Sessions, follow: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also one that returns with an id of before; what is then heard has an id to return with."""
     monkeypatch.setattr(broadcast, "_IDLE_S", 60.0)  # longer than the client waits
     before, after = (client.post("/jobs", json={}).json()["id"] for _ in range(2))
-
-    def change(job_id: str, ahead: timedelta) -> datetime:
-        with sessions.begin() as session:
-            at: datetime = session.scalars(select(func.now() + ahead)).one()
-            session.get_one(Job, job_id).updated_at = at
-            notify(session, job_id)
-        return at
-
-    last_id = (datetime.now(UTC) + timedelta(hours=1)).isoformat() if returns else None
-    with follow(client, "/jobs/stream", last_id=last_id) as messages:
-        ids = [next(messages).id]
+    with follow(client, "/jobs/stream") as messages:
         for job_id, ahead in ((before, timedelta(hours=1)), (after, timedelta())):
-            at = change(job_id, ahead)
-            while (news := next(messages)).data["id"] != job_id or datetime.fromisoformat(
-                news.data["updated_at"]
-            ) != at:
+            with sessions.begin() as session:
+                at = session.scalars(select(func.now() + ahead)).one()
+                change(session, job_id, at)
+            while (news := next(messages)).event != "job" or news.data["id"] != job_id:
                 pass
-            ids.append(news.id)
+            assert datetime.fromisoformat(news.data["updated_at"]) == at
+
+
+@pytest.mark.parametrize("returns", [False, True])
+def test_followers_hear_of_a_transaction_that_began_early_and_is_committed_late(
+    client: httpx.Client, sessions: Sessions, follow: Any, monkeypatch: pytest.MonkeyPatch, returns: bool
+) -> None:
+    """Also one that returns with the id of a later change, which was committed earlier."""
+    monkeypatch.setattr(broadcast, "_IDLE_S", 60.0)  # longer than the client waits
+    late, other = (client.post("/jobs", json={}).json()["id"] for _ in range(2))
     with sessions() as session:
-        now = session.scalars(select(func.now())).one()
-    assert all(now - timedelta(minutes=1) < datetime.fromisoformat(each) <= now for each in ids)
+        change(session, late, func.now() - timedelta(hours=1))
+        with follow(client, "/jobs/stream") as messages:
+            for _ in range(2):
+                client.patch(f"/jobs/{other}", json={"notes": "x"}).raise_for_status()
+                while (news := next(messages)).data.get("id") != other:
+                    assert news.data.get("id") != late
+            if not returns:
+                session.commit()
+                while next(messages).data.get("id") != late:
+                    pass
+        if returns:
+            session.commit()
+            with follow(client, "/jobs/stream", last_id=news.id) as messages:
+                while (news := next(messages)).data.get("id") != late:
+                    assert news.event != "reset"
 
 
-@pytest.mark.parametrize("path", ["/jobs/stream", "/jobs/{job}/stream"])
+@pytest.mark.parametrize("last_id", ["x", "@", "2026-01-01T00:00:00+00:00", "0@{}", "-1@{}", f"{10**18}@{{}}", "{}@x"])
+def test_a_follower_whose_id_is_not_known_reads_the_list_again(
+    client: httpx.Client, follow: Any, monkeypatch: pytest.MonkeyPatch, last_id: str
+) -> None:
+    monkeypatch.setattr(broadcast, "_IDLE_S", 60.0)  # longer than the client waits
+    with follow(client, "/jobs/stream") as messages:
+        number, _, database = next(messages).id.partition("@")
+    last_id = last_id.format(number if last_id == "{}@x" else database)
+    with follow(client, "/jobs/stream", last_id=last_id) as messages:
+        assert [message.event for message in islice(messages, 2)] == ["reset", "ready"]
+
+
+@pytest.mark.parametrize(("most", "first"), [(3, ["ready", "job", "job", "job"]), (2, ["reset", "ready"])])
+def test_a_follower_that_has_missed_too_much_reads_the_list_again(
+    client: httpx.Client, follow: Any, monkeypatch: pytest.MonkeyPatch, most: int, first: list[str]
+) -> None:
+    monkeypatch.setattr(queries, "REPLAYED", most)
+    with follow(client, "/jobs/stream") as messages:
+        last_id = next(messages).id
+    for _ in range(3):
+        client.post("/jobs", json={}).raise_for_status()
+    with follow(client, "/jobs/stream", last_id=last_id) as messages:
+        assert [message.event for message in islice(messages, len(first))] == first
+
+
+def test_many_old_ids_delay_no_other_owner(
+    client: httpx.Client,
+    make_client: Callable[..., httpx.Client],
+    run_job: Callable[..., Lease],
+    follow: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(queries, "REPLAYED", 1)
+    greedy, job_id = make_client("greedy", "submit"), run_job().job_id
+    for _ in range(2):
+        greedy.post("/jobs", json={}).raise_for_status()
+    with follow(greedy, "/jobs/stream") as messages:
+        last_id = "1@" + next(messages).id.partition("@")[2]
+    with ExitStack() as stack:
+        streams = [stack.enter_context(follow(greedy, "/jobs/stream", last_id=last_id)) for _ in range(20)]
+        with follow(client, f"/jobs/{job_id}/stream") as messages:
+            assert next(messages).event == "event"
+        for stream in streams:
+            assert [message.event for message in islice(stream, 2)] == ["reset", "ready"]
+
+
+def test_reads_of_one_owner_delay_no_other_owner_and_no_short_query() -> None:
+    async def reads() -> None:
+        feed, gate, done = Feed(make_sessions(make_engine("postgresql+psycopg://")), list), threading.Event(), []
+        owner = [asyncio.create_task(feed.read("greedy", partial(gate.wait, 30))) for _ in range(20)]
+        try:
+            async with asyncio.timeout(20):
+                await asyncio.sleep(0)  # they begin
+                done += [await feed.read("other", lambda: "page"), await feed.in_thread(lambda: "token")]
+                assert not any(task.done() for task in owner)
+        finally:
+            gate.set()
+        assert await asyncio.gather(*owner) == [True] * 20
+        assert done == ["page", "token"]
+
+    asyncio.run(reads())
+
+
+def test_followers_read_the_list_again_after_deletions_may_have_been_missed(
+    client: httpx.Client, follow: Any, database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(broadcast, "_BLIND_S", 0.05)
+    monkeypatch.setattr(broadcast, "_IDLE_S", 60.0)  # longer than the client waits
+    with follow(client, "/jobs/stream") as messages:
+        assert next(messages).event == "ready"
+        with psycopg.connect(database_url, autocommit=True) as connection:
+            connection.execute(
+                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'naosprint-api-listen'"
+            )
+        while next(messages).event != "reset":
+            pass
+
+
+def test_deletions_that_a_busy_follower_does_not_take_are_limited() -> None:
+    subscription = broadcast.Subscription()
+    for number in range(broadcast.MOST_DELETED):
+        subscription.add_deleted(f"{number}", "alice")
+    deleted, missing = subscription.take_deleted()
+    assert (len(deleted), missing) == (broadcast.MOST_DELETED, False)
+    for number in range(broadcast.MOST_DELETED + 2):
+        subscription.add_deleted(f"{number}", "alice")
+    deleted, missing = subscription.take_deleted()
+    assert (len(deleted), missing) == (1, True)
+    assert subscription.take_deleted() == ({}, False)
+
+
+def test_a_lock_that_is_not_granted_is_no_failure_of_the_database(
+    start_api: Callable[..., Any], make_token: Callable[..., str], sessions: Sessions
+) -> None:
+    def wait_shortly(connection: psycopg.Connection[Any], _record: object) -> None:
+        connection.execute("SET lock_timeout = 100")
+        connection.commit()
+
+    headers = {"Authorization": f"Bearer {make_token('alice', 'submit')}"}
+    event.listen(Engine, "connect", wait_shortly)
+    try:
+        with httpx.Client(base_url=start_api().url, headers=headers, timeout=20) as client:
+            job_id = client.post("/jobs", json={}).json()["id"]
+            with sessions.begin() as session:
+                session.get_one(Job, job_id, with_for_update=True)
+                answer = client.post(f"/jobs/{job_id}/cancel")
+            assert answer.status_code == 429
+            assert answer.json()["detail"] == "another change of the same is still being stored; try again"
+            assert int(answer.headers["retry-after"]) > 0
+            assert client.post(f"/jobs/{job_id}/cancel").status_code == 200
+    finally:
+        event.remove(Engine, "connect", wait_shortly)
+
+
 @pytest.mark.parametrize("last_id", ["x", "1-2", "-1-2-3", "9" * 40, "2026-01-01T00:00", "\u00b2-1-1"])
-def test_a_strange_last_id_is_refused(client: httpx.Client, follow: Any, path: str, last_id: str) -> None:
+def test_a_strange_last_id_of_a_job_is_refused(client: httpx.Client, last_id: str) -> None:
     job = client.get("/jobs", params={"limit": 1}).json()["items"][0]["id"]
-    answer = client.get(path.format(job=job), headers={"Last-Event-ID": last_id.encode()})
+    answer = client.get(f"/jobs/{job}/stream", headers={"Last-Event-ID": last_id.encode()})
     assert answer.status_code == 422
     assert answer.json()["errors"][0]["field"] == "Last-Event-ID"
 

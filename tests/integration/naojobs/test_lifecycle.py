@@ -598,6 +598,41 @@ def test_a_group_with_one_bad_point_makes_no_job(sessions: Sessions) -> None:
         assert session.query(Job).count() == before
 
 
+def test_what_is_left_of_a_group_is_returned_and_nothing_queued_again(sessions: Sessions) -> None:
+    request = GroupRequest(JobRequest(TrainingSpec(), name="g"), seeds=(1, 2, 3))
+    group, jobs, _ = submission.submit_group(sessions, request, owner="alice", idempotency_key="k")
+    requests.request_cancel(sessions, Job, jobs[0].id)
+    requests.delete(sessions, jobs[0].id)
+    again, left, created = submission.submit_group(sessions, request, owner="alice", idempotency_key="k")
+    assert (again, [job.id for job in left], created) == (group, [job.id for job in jobs[1:]], False)
+    with sessions() as session:
+        assert (
+            session.scalar(select(func.count(Job.id)).where(Job.group_id.is_not(None), Job.name.startswith("g-"))) == 2
+        )
+
+
+def test_what_an_owner_has_is_counted_once_for_a_group(sessions: Sessions) -> None:
+    """Other requests of the owner wait for it, so its jobs cost little more than their rows."""
+    statements: list[str] = []
+    limits = dict.fromkeys(Quota, 10**9)
+    counts = []
+
+    def note(*arguments: Any) -> None:
+        statements.append(arguments[2])
+
+    event.listen(sessions.kw["bind"], "before_cursor_execute", note)
+    try:
+        for size in (2, 22):
+            statements.clear()
+            request = GroupRequest(JobRequest(TrainingSpec(), name=f"g{size}"), seeds=range(size))
+            submission.submit_group(sessions, request, owner="alice", limits=limits, idempotency_key=f"k{size}")
+            counts.append(len(statements))
+    finally:
+        event.remove(sessions.kw["bind"], "before_cursor_execute", note)
+    per_job = (counts[1] - counts[0]) / 20
+    assert per_job <= 5, per_job
+
+
 def test_a_broker_that_is_down_is_recorded_and_the_job_can_be_claimed(
     sessions: Sessions, submit: Callable[..., Job]
 ) -> None:

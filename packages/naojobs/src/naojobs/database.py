@@ -38,7 +38,7 @@ _NOTIFY = text(
     "FROM unnest(CAST(:changed AS text[])) AS job"
 )
 
-REVISION = "0030"
+REVISION = "0031"
 """The revision of the schema that this code is written for."""
 
 _MIGRATION_LOCK = 0x6E616F

@@ -43,7 +43,10 @@ def lineage_of(session: Session, checkpoint: Checkpoint) -> list[dict[str, Any]]
         start = session.get(Checkpoint, job.parent_checkpoint_id) if job.parent_checkpoint_id else None
         if start is None or len(parts) == MAX_JOBS:
             return parts
-        job, at, step = session.get_one(Job, start.job_id), start.id, start.step
+        earlier = session.get(Job, start.job_id)
+        if earlier is None:  # deleted just now
+            return parts
+        job, at, step = earlier, start.id, start.step
 
 
 def _registered(session: Session, job: Job) -> str | None:

@@ -189,12 +189,17 @@ class Job(Work, Base):
     """Number of rows of metrics, logs and events that workers have written."""
     latest_metrics: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
     """The newest metrics row, so that a list of jobs needs no join."""
+    changed_in: Mapped[int] = mapped_column(BigInteger, server_default=text("pg_current_xact_id()::text::bigint"))
+    """Transaction that has set `updated_at` last; a trigger writes it. Followers compare it with snapshots, since a
+    transaction that began early may be committed late.
+    """
 
     __table_args__ = (
         *_work_checks(WorkState),
         UniqueConstraint("owner", "idempotency_key"),
         Index("ix_jobs_owner_id", "owner", text("id DESC")),
         Index("ix_jobs_updated_at", "updated_at"),
+        Index("ix_jobs_changed_in", "changed_in", "id"),
         Index("ix_jobs_tags", "tags", postgresql_using="gin"),
         _waiting_index("jobs"),
         _lease_index("jobs"),

@@ -34,6 +34,8 @@ from naojobs.states import ENDED, OPEN, WorkState
 
 INVISIBLE = frozenset({"Cc", "Cf", "Zl", "Zp"})
 """Categories of characters that no name has: controls, formats, separators of lines and paragraphs."""
+_MOST_NAMED = 190
+"""Characters of a name before the number that is added to it."""
 MAX_GROUP_SIZE = 256
 """The most jobs of one group."""
 MAX_OPEN_EVALUATIONS = 100
@@ -153,21 +155,24 @@ def submit_group(
     """
     requests = expand_group(request)
     digest = request.digest() if idempotency_key is not None else None
+    keys = [f"{idempotency_key}#{number}" for number in range(len(requests))] if idempotency_key is not None else []
     with sessions.begin() as session:
-        group_id = new_id("group")
-        jobs = []
-        new = False
-        for number, item in enumerate(requests):
-            key = None if idempotency_key is None else f"{idempotency_key}#{number}"
-            with within("job"):
-                job, created = add_job(session, item, owner, key, limits, see_all, group_id=group_id, digest=digest)
-            if created:
-                new = True
-                limits = {quota: most for quota, most in limits.items() if quota not in SPACE}  # sums, wanted once
-            else:
-                group_id = job.group_id or group_id
-            jobs.append(job)
-    return group_id, jobs, new
+        _wait(session, owner, limits)
+        if made := _group_made(session, owner, keys, digest):
+            return made[0].group_id or made[0].id, made, False
+        with within("job"):
+            _require_room(session, owner, limits, more=len(requests))
+            group_id, taken, jobs = new_id("group"), _names(session, Job, owner, request.job.display_name), []
+            for item, key in itertools.zip_longest(requests, keys):
+                jobs.append(_queue(session, item, owner, see_all, taken, group_id, key, digest))
+    return group_id, jobs, True
+
+
+def _group_made(session: Session, owner: str, keys: Sequence[str], digest: str | None) -> list[Job]:
+    """Return what is left of the group that a request with these keys has made. Raises as `earlier` does."""
+    used = select(Job.idempotency_key).where(Job.owner == owner, Job.idempotency_key.in_(keys))
+    found = [earlier(session, Job, Job.owner == owner, key, digest) for key in session.scalars(used)]
+    return sorted((job for job in found if job is not None), key=lambda job: keys.index(str(job.idempotency_key)))
 
 
 def expand_group(request: GroupRequest) -> list[JobRequest]:
@@ -211,22 +216,44 @@ def add_job(
     see_all: bool = False,
     *,
     group_id: str | None = None,
-    digest: str | None = None,
 ) -> tuple[Job, bool]:
-    """Queue a new job as `submit` does, as part of a transaction; `digest` is that of the whole request of a group."""
-    if idempotency_key is not None and digest is None:
-        digest = request.digest()
-    quotas = (Quota.OPEN_JOBS, Quota.JOBS, *SPACE)
-    wait_for_turn(session, owner, limits, *quotas)
-    hold_names(session, owner)
+    """Queue a new job as `submit` does, as part of a transaction."""
+    digest = request.digest() if idempotency_key is not None else None
+    _wait(session, owner, limits)
     if (made := earlier(session, Job, Job.owner == owner, idempotency_key, digest)) is not None:
         return made, False
-    require_room(session, owner, limits, *quotas)
+    _require_room(session, owner, limits)
+    taken = _names(session, Job, owner, request.display_name)
+    return _queue(session, request, owner, see_all, taken, group_id, idempotency_key, digest), True
+
+
+def _wait(session: Session, owner: str, limits: Limits) -> None:
+    """Wait for all that must not change while jobs of an owner are queued."""
+    wait_for_turn(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS, *SPACE)
+    hold_names(session, owner)
+
+
+def _require_room(session: Session, owner: str, limits: Limits, *, more: int = 1) -> None:
+    require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS, more=more)
+    require_room(session, owner, limits, *SPACE)
+
+
+def _queue(
+    session: Session,
+    request: JobRequest,
+    owner: str,
+    see_all: bool,
+    taken: set[str],
+    group_id: str | None,
+    idempotency_key: str | None,
+    digest: str | None,
+) -> Job:
+    """Queue a new job for which there is room, under a name that is not among those taken, which it joins."""
     request = with_parent(session, request, owner, see_all)
     check_evaluation(request.evaluation, request.spec, "evaluation")
     job = Job(
         id=new_id("job"),
-        name=free_name(session, Job, owner, request.display_name),
+        name=_free(request.display_name, taken),
         owner=owner,
         tags=list(dict.fromkeys(request.tags)),
         spec=stored(request.spec),
@@ -250,7 +277,7 @@ def add_job(
     session.flush()
     session.refresh(job)
     add_event(session, job, "queued", "submitted", {"owner": owner})
-    return job, True
+    return job
 
 
 def edit(
@@ -306,16 +333,23 @@ def free_name(session: Session, model: type[Job] | type[Study], owner: str, name
     The transaction holds the names (`hold_names`).
     Raises InvalidError for characters that would act on a terminal instead of being shown, also in composed names.
     """
+    return _free(name, _names(session, model, owner, name))
+
+
+def _names(session: Session, model: type[Job] | type[Study], owner: str, name: str) -> set[str]:
+    """Return the owner's names that begin as a name that is made from this one may begin."""
+    condition = model.name.startswith(name[:_MOST_NAMED], autoescape=True)
+    return set(session.scalars(select(model.name).where(model.owner == owner, condition)))
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """Add a name that is not taken, this one or with a number, to those taken, and return it. Raises InvalidError."""
     if any(unicodedata.category(character) in INVISIBLE for character in name):
         raise InvalidError("expected text without control, format and separator characters", "name")
-    beginning = name[:190]
-    taken = set(
-        session.scalars(
-            select(model.name).where(model.owner == owner, model.name.startswith(beginning, autoescape=True)),
-        ),
-    )
-    numbered = (f"{beginning}-{number}" for number in itertools.count(2))
-    return next(text for text in itertools.chain([name], numbered) if text not in taken)
+    numbered = (f"{name[:_MOST_NAMED]}-{number}" for number in itertools.count(2))
+    free = next(text for text in itertools.chain([name], numbered) if text not in taken)
+    taken.add(free)
+    return free
 
 
 def check_evaluation(evaluation: EvaluationSpec | None, trained: TrainingSpec, field: str) -> None:
@@ -348,7 +382,9 @@ def with_parent(session: Session, request: JobRequest, owner: str, see_all: bool
             return request
         known = ", ".join(naopolicies.names())
         raise InvalidError(f"{error}; bundled policies are {known}", "parent_policy") from None
-    checkpoint = session.get_one(Checkpoint, version.checkpoint_id)
+    checkpoint = session.get(Checkpoint, version.checkpoint_id)
+    if checkpoint is None:
+        raise InvalidError(f"version {version.number} of {policy.name} was just deleted", "parent_policy")
     found = replace(
         request,
         parent_job_id=checkpoint.job_id,

@@ -17,14 +17,33 @@ _log = logging.getLogger(__name__)
 _IDLE_S, _BLIND_S = 10.0, 1.0
 """How often a follower polls: rarely while notifications arrive, often while they cannot."""
 
+MOST_DELETED = 1_000
+"""Most deletions that are kept for a follower that is busy."""
+
 
 class Subscription:
     """Wake-up event of one follower, with the jobs that were deleted while it was busy."""
 
     def __init__(self) -> None:
-        self.deleted: dict[str, str] = {}
-        """Owner by id."""
         self.wake = asyncio.Event()
+        self._deleted: dict[str, str] = {}
+        self._missing = False
+
+    def add_deleted(self, job_id: str, owner: str) -> None:
+        """Keep a deletion until the follower takes it."""
+        self._deleted[job_id] = owner
+        if len(self._deleted) > MOST_DELETED:
+            self.lose_deleted()
+
+    def lose_deleted(self) -> None:
+        """Note that deletions are missing."""
+        self._deleted, self._missing = {}, True
+
+    def take_deleted(self) -> tuple[dict[str, str], bool]:
+        """Return the owners of deleted jobs by the jobs' ids, and whether some are missing."""
+        taken = self._deleted, self._missing
+        self._deleted, self._missing = {}, False
+        return taken
 
 
 class Broadcaster:
@@ -103,7 +122,9 @@ class Broadcaster:
                 ) as connection:
                     await connection.execute(f"LISTEN {CHANNEL}")
                     self._listening = True
-                    self._wake_all()  # changes may have been missed until now
+                    for subscription in self._subscriptions:
+                        subscription.lose_deleted()  # unlike changes, they cannot be read later
+                    self._wake_all()
                     async for notification in connection.notifies():
                         self._tell(notification.payload)
             except (psycopg.Error, OSError) as error:
@@ -116,5 +137,5 @@ class Broadcaster:
         for subscription, wanted in self._subscriptions.items():
             if wanted is None or wanted == job_id:
                 if deleted_from:
-                    subscription.deleted[job_id] = deleted_from
+                    subscription.add_deleted(job_id, deleted_from)
                 subscription.wake.set()

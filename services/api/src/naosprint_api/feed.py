@@ -10,19 +10,20 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from typing import Any, TypeAlias, TypeVar
+from weakref import WeakValueDictionary
 
 import anyio
 from fastapi.sse import format_sse_event
 from naojobs.database import Sessions
-from naojobs.models import Worker
+from naojobs.models import Job, Worker
 from naojobs.states import WorkState
 
 from naosprint_api.queries import Position, news_of
 from naosprint_api.views import event_view, job_view, log_view
 
 Result = TypeVar("Result")
-_Wanted: TypeAlias = tuple[str, Position, frozenset[str], bool]
-"""A job, a follower's position, the kinds of records it follows, and whether it is behind."""
+_Wanted: TypeAlias = tuple[str, str, Position, frozenset[str], bool]
+"""A job's owner, the job, a follower's position, the kinds of records it follows, and whether it is behind."""
 
 GATHER_S = 0.25
 """How long a read waits for more followers, and so the shortest time between two updates of each."""
@@ -31,7 +32,7 @@ HURRIED_GATHER_S = 0.02
 APART_S, LONGEST_S = 0.002, 0.25
 """Time between the followers that share a read: to wake them up all at once would delay other requests."""
 THREADS = 2
-"""Threads that followers may use at a time, so that many followers do not block requests."""
+"""Threads for what followers read, and for the short queries beside that, so that many do not block requests."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,19 +58,25 @@ class Feed:
     def __init__(self, sessions: Sessions, workers: Callable[[], Sequence[Worker]]) -> None:
         self._sessions = sessions
         self._workers = workers
-        self._limiter = anyio.CapacityLimiter(THREADS)
+        self._limiter, self._readers = anyio.CapacityLimiter(THREADS), anyio.CapacityLimiter(THREADS)
+        self._turns: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._gathering: dict[_Wanted, tuple[asyncio.Task[FeedBatch], Iterator[int]]] = {}
         """Reads that have not begun yet, and the followers waiting for them. Only these may be joined, since they
         include everything committed until now.
         """
 
     async def in_thread(self, function: Callable[[], Result]) -> Result:
-        """Run a read in one of the threads for followers."""
+        """Run a short query in one of the threads for followers."""
         return await anyio.to_thread.run_sync(function, limiter=self._limiter)
 
-    async def news(self, job_id: str, seen: Position, kinds: frozenset[str], *, hurried: bool = False) -> FeedBatch:
+    async def read(self, owner: str, function: Callable[[], Result]) -> Result:
+        """Run a read of what is sent: one at a time for each owner, so that many streams of one delay no other's."""
+        async with self._turns.setdefault(owner, asyncio.Lock()):
+            return await anyio.to_thread.run_sync(function, limiter=self._readers)
+
+    async def news(self, job: Job, seen: Position, kinds: frozenset[str], *, hurried: bool = False) -> FeedBatch:
         """Return what is new about a job; `hurried` for a follower that is known to be behind."""
-        wanted = job_id, seen, kinds, hurried
+        wanted = job.owner, job.id, seen, kinds, hurried
         if wanted not in self._gathering:
             self._gathering[wanted] = asyncio.create_task(self._gather(wanted)), itertools.count()
         task, turns = self._gathering[wanted]
@@ -80,12 +87,12 @@ class Feed:
         return batch
 
     async def _gather(self, wanted: _Wanted) -> FeedBatch:
-        job_id, seen, kinds, hurried = wanted
+        owner, job_id, seen, kinds, hurried = wanted
         try:
             await asyncio.sleep(HURRIED_GATHER_S if hurried else GATHER_S)
         finally:
             del self._gathering[wanted]
-        return await self.in_thread(partial(self._read, job_id, seen, kinds))
+        return await self.read(owner, partial(self._read, job_id, seen, kinds))
 
     def _read(self, job_id: str, seen: Position, kinds: frozenset[str]) -> FeedBatch:
         news = news_of(self._sessions, job_id, seen, kinds, workers=self._workers())

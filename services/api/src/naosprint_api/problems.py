@@ -13,6 +13,7 @@ from fastapi.responses import JSONResponse
 from fastapi.routing import APIRoute
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, QuotaError
 from naojobs.store import MissingArtifactError, StoreError
+from psycopg.errors import LockNotAvailable
 from pydantic import BaseModel, Field
 from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
@@ -177,6 +178,10 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
         )
 
     async def database(_request: Request, error: Exception) -> JSONResponse:
+        if isinstance(error, DBAPIError) and isinstance(error.orig, LockNotAvailable):
+            _log.warning("a lock was not granted: %s", error)
+            message = "another change of the same is still being stored; try again"
+            return problem_response(429, message, headers={"Retry-After": "2"})
         if isinstance(error, DBAPIError) and not (error.connection_invalidated or isinstance(error, OperationalError)):
             raise error
         _log.error("the database failed: %s", error)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta
 
 from naojobs.capabilities import waiting_reasons
 from naojobs.database import Sessions
@@ -22,10 +21,12 @@ from naojobs.models import (
     PolicyRecord,
     Study,
     Worker,
+    generation,
 )
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
-from sqlalchemy import ColumnElement, Select, false, func, select, true, tuple_
+from sqlalchemy import ColumnElement, Select, Text, and_, cast, false, func, not_, select, true, tuple_
+from sqlalchemy.orm import InstrumentedAttribute
 
 from naosprint_api.results import results_of
 from naosprint_api.schemas.jobs import JobResult, MetricsPublic
@@ -89,43 +90,80 @@ def list_jobs(sessions: Sessions, wanted: JobFilter, *, limit: int, before: str 
         return list(session.scalars(statement))
 
 
-OVERLAP = timedelta(seconds=10)
-"""Seconds before the newest change seen from which a follower reads again: `updated_at` is when a transaction began, so
-an earlier one may be committed later.
-"""
+PAGE = 100
+"""Changed jobs that are read at a time."""
 
-PAGE = 500
-"""Changes that are read at a time."""
+REPLAYED = 1_000
+"""Most changed jobs that a returning follower is sent; one that has missed more reads the list again."""
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
-    """Last change of a job; changes are ordered by time, then by id."""
+class Snapshot:
+    """Transactions whose changes a reader sees: all before `end` but those that still run."""
 
-    at: datetime
-    job_id: str = ""
+    generation: str
+    """The database's, see `naojobs.models.generation`."""
+    oldest: int
+    """The oldest transaction that runs, or `end`."""
+    end: int
+    running: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        """Return it as the id of a server-sent event, from which all that it may not include is sent."""
+        return f"{self.oldest}@{self.generation}"
+
+    def includes(self, transaction: InstrumentedAttribute[int]) -> ColumnElement[bool]:
+        """Return the condition of the transactions whose changes it includes."""
+        return and_(transaction < self.end, transaction.not_in(self.running))
 
 
-def changes(sessions: Sessions, wanted: JobFilter, *, after: Change) -> list[Change]:
-    """Return the changes after `after`, oldest first, at most `PAGE` of them."""
-    place = tuple_(Job.updated_at, Job.id)
-    statement = wanted.apply(select(Job)).with_only_columns(Job.updated_at, Job.id)
-    statement = statement.where(place > (after.at, after.job_id)).order_by(Job.updated_at, Job.id).limit(PAGE)
+_SNAPSHOT = select(generation(), cast(func.pg_current_snapshot(), Text))
+
+
+def snapshot(sessions: Sessions) -> Snapshot:
+    """Return what a reader of the database sees now."""
     with sessions.begin() as session:
-        return [Change(at, job_id) for at, job_id in session.execute(statement)]
+        database, found = session.execute(_SNAPSHOT).one()
+    oldest, end, running = found.split(":")
+    return Snapshot(database, int(oldest), int(end), tuple(map(int, running.split(","))) if running else ())
 
 
-def jobs_of(sessions: Sessions, job_ids: Sequence[str]) -> list[Job]:
-    """Return these jobs, oldest change first; those that were deleted meanwhile are left out."""
+def resume(sessions: Sessions, last_id: str | None) -> tuple[Snapshot, bool]:
+    """Return the snapshot that a follower continues from, and whether it has to read the list of jobs again.
+
+    It has to if `last_id` is not an id of this database, or more than `REPLAYED` jobs have changed since then.
+    """
+    now = snapshot(sessions)
+    if not last_id:
+        return now, False
+    number, _, database = last_id.partition("@")
+    position = int(number) if number.isascii() and number.isdecimal() else 0
+    newest = select(Job.changed_in).where(Job.changed_in < now.end).order_by(Job.changed_in.desc(), Job.id.desc())
     with sessions.begin() as session:
-        found = select(Job).where(Job.id.in_(job_ids)).order_by(Job.updated_at, Job.id)
-        return list(session.scalars(found)) if job_ids else []
+        too_old = session.scalar(newest.offset(REPLAYED).limit(1)) or 0
+    if database != now.generation or not too_old < position <= now.end:
+        return now, True
+    return Snapshot(database, position, position), False
 
 
-def database_now(sessions: Sessions) -> datetime:
-    """Return the time by the database's clock."""
+def changed_jobs(
+    sessions: Sessions, wanted: JobFilter, *, seen: Snapshot, now: Snapshot, after: tuple[int, str]
+) -> list[Job]:
+    """Return up to `PAGE` jobs whose last change is in `now` and not in `seen`, oldest transaction first.
+
+    Args:
+        sessions: the database.
+        wanted: the jobs that are followed.
+        seen: the snapshot of the changes that were read before.
+        now: a later one; jobs that have changed since then are left out.
+        after: transaction and id of the last job of the page before, or of the oldest transaction to read.
+    """
+    place = tuple_(Job.changed_in, Job.id)
+    statement = wanted.apply(select(Job)).where(
+        place > after, not_(seen.includes(Job.changed_in)), now.includes(Job.changed_in)
+    )
     with sessions.begin() as session:
-        return session.execute(select(func.now())).scalar_one()
+        return list(session.scalars(statement.order_by(Job.changed_in, Job.id).limit(PAGE)))
 
 
 def visible_job(sessions: Sessions, principal: Principal, job_id: str) -> Job:

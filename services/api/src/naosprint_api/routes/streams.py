@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -17,15 +16,14 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from naojobs.ids import PATTERN
 from naojobs.models import Job
 from naojobs.states import ENDED, WorkState
-from naojobs.tokens import is_valid
+from naojobs.tokens import Principal, is_valid
 
 from naosprint_api import queries
 from naosprint_api.dependencies import MAX_BIGINT, CountedRoute, Follower, JobId, ServiceDep
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import FieldError, ProblemError, responses
-from naosprint_api.queries import Position
+from naosprint_api.queries import Position, Snapshot
 from naosprint_api.routes.jobs import job_filter
-from naosprint_api.schemas.jobs import JobPublic
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["streams"], route_class=CountedRoute)
@@ -77,9 +75,10 @@ def _follower(service: Service) -> Iterator[None]:
 class Pass:
     """Permission to follow; it ends when the token is revoked or expires."""
 
-    def __init__(self, service: Service, token_id: str) -> None:
+    def __init__(self, service: Service, principal: Principal) -> None:
+        self.owner = principal.owner
         self._service = service
-        self._token_id = token_id
+        self._token_id = principal.token_id
         self._check_at = time.monotonic() + service.settings.api_recheck_s
 
     async def valid(self) -> bool:
@@ -101,7 +100,7 @@ async def place(principal: Follower, service: ServiceDep) -> AsyncIterator[Pass]
         if not free:
             service.telemetry.refused.labels("followers").inc()
             raise ProblemError(503, "too many streams are open; try again soon", headers={"Retry-After": "10"})
-        yield Pass(service, principal.token_id)
+        yield Pass(service, principal)
 
 
 Place = Annotated[Pass, Depends(place)]
@@ -128,21 +127,9 @@ async def followed_job(job_id: JobId, principal: Follower, service: ServiceDep) 
     return await service.feed.in_thread(partial(queries.visible_job, service.reads, principal, job_id))
 
 
-async def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> datetime:
-    """Return the time from which changes of jobs are sent."""
-    now = await service.feed.in_thread(partial(queries.database_now, service.reads))
-    if not last_event_id:
-        return now
-    try:
-        since = datetime.fromisoformat(last_event_id)
-        if since.tzinfo is None or since.year < 2000:
-            raise ValueError
-    except ValueError:
-        message = "is not an id of this stream; send the last `id:` received, or omit the header"
-        raise ProblemError(
-            422, f"Last-Event-ID {message}", [FieldError(field="Last-Event-ID", message=message)]
-        ) from None
-    return min(since, now)
+async def start_of_all(service: ServiceDep, last_event_id: LastEventId = None) -> tuple[Snapshot, bool]:
+    """Return the snapshot from which changes of jobs are sent, and whether earlier ones are missing."""
+    return await service.feed.in_thread(partial(queries.resume, service.reads, last_event_id))
 
 
 async def stream_filter(
@@ -167,67 +154,56 @@ async def stream_jobs(
     service: ServiceDep,
     allowed: Place,
     wanted: Annotated[queries.JobFilter, Depends(stream_filter)],
-    since: Annotated[datetime, Depends(since_of)],
+    start: Annotated[tuple[Snapshot, bool], Depends(start_of_all)],
 ) -> EventStream:
     """Follow all jobs: `job` with the whole job whenever one changes, `gone` with the id of one that was deleted.
 
-    The first message, `ready`, means that all later changes are sent. A change may be sent twice.
+    `ready` means that all later changes are sent. `reset` means that changes or deletions are missing: read the list of
+    jobs again. It comes, among others, before `ready` when `Last-Event-ID` is not known or too many jobs have changed
+    since; jobs that were deleted between two connections are not named. A change may be sent twice.
     """
-    return EventStream(_news_of_all(service, allowed, wanted, since))
-
-
-@dataclass(frozen=True, slots=True)
-class _Page:
-    """Changes after a position, and the changed jobs that have not been sent to the follower yet."""
-
-    changes: list[queries.Change]
-    jobs: list[Job]
-    shown: list[JobPublic]
+    return EventStream(_news_of_all(service, allowed, wanted, *start))
 
 
 def _read_page(
-    service: Service, wanted: queries.JobFilter, after: queries.Change, sent: Mapping[str, datetime]
-) -> _Page:
-    changes = queries.changes(service.reads, wanted, after=after)
-    jobs = queries.jobs_of(service.reads, [change.job_id for change in changes if sent.get(change.job_id) != change.at])
-    return _Page(changes, jobs, service.show_jobs(jobs))
+    service: Service, wanted: queries.JobFilter, seen: Snapshot, now: Snapshot, after: tuple[int, str]
+) -> tuple[bytes, tuple[int, str] | None]:
+    """Return changed jobs as events, and where the next page begins if there is one."""
+    jobs = queries.changed_jobs(service.reads, wanted, seen=seen, now=now, after=after)
+    shown = [view.model_dump_json() for view in service.show_jobs(jobs)] if jobs else []
+    news = b"".join(format_sse_event(event="job", data_str=text, id=str(seen)) for text in shown)
+    return news, (jobs[-1].changed_in, jobs[-1].id) if len(jobs) == queries.PAGE else None
 
 
 async def _news_of_all(
-    service: Service, allowed: Pass, wanted: queries.JobFilter, since: datetime
+    service: Service, allowed: Pass, wanted: queries.JobFilter, seen: Snapshot, missing: bool
 ) -> AsyncIterator[bytes]:
-    sent: dict[str, datetime] = {}
     with _follower(service), service.broadcaster.subscribe() as subscription:
-        yield _message("ready", {"since": since.isoformat()}, since.isoformat())
+        if missing:
+            yield _message("reset", {})
+        yield _message("ready", {}, str(seen))
         while await allowed.valid():
-            # After the database's clock was set back, changes are older than those that were seen before.
-            now = await service.feed.in_thread(partial(queries.database_now, service.reads))
-            since = min(since, now)
-            place = queries.Change(since - queries.OVERLAP)
-            seen: set[str] = set()
-            full = True
-            while full and not service.broadcaster.closing:
-                page = await service.feed.in_thread(partial(_read_page, service, wanted, place, sent))
-                news: list[bytes] = []
-                for job, view in zip(page.jobs, page.shown, strict=True):
-                    sent[job.id] = job.updated_at
-                    text = view.model_dump_json()
-                    news.append(format_sse_event(event="job", data_str=text, id=since.isoformat()))
-                if page.changes:
-                    place = page.changes[-1]
-                    since = max(since, min(place.at, now))
-                seen.update(change.job_id for change in page.changes)
+            now = await service.feed.in_thread(partial(queries.snapshot, service.reads))
+            if now.generation != seen.generation:  # what was seen may have been undone
+                seen = now
+                yield _message("reset", {}, str(seen))
+            place: tuple[int, str] | None = (seen.oldest, "") if now != seen else None
+            while place is not None:
+                if service.broadcaster.closing:
+                    return
+                read = partial(_read_page, service, wanted, seen, now, place)
+                news, place = await service.feed.read(allowed.owner, read)
                 if news:
-                    yield b"".join(news)
-                full = len(page.changes) == queries.PAGE
-            # Changes outside the overlap are not read again, so they need not be stored.
-            sent = {job_id: at for job_id, at in sent.items() if job_id in seen}
+                    yield news
+            seen = now
             if not await service.broadcaster.wait(subscription):
                 yield KEEPALIVE_COMMENT
-            deleted, subscription.deleted = subscription.deleted, {}
+            deleted, missing = subscription.take_deleted()
+            if missing:
+                yield _message("reset", {}, str(seen))
             for job_id, owner in deleted.items():
                 if wanted.owner in (None, owner) and wanted.job_id in (None, job_id):
-                    yield _message("gone", {"id": job_id}, since.isoformat())
+                    yield _message("gone", {"id": job_id}, str(seen))
 
 
 @router.get(
@@ -249,19 +225,19 @@ async def stream_job(
     its step on.
     """
     kinds = frozenset(only) or frozenset({"metrics", "log", "event", "state"})
-    return EventStream(_news_of_one(service, allowed, job.id, seen, kinds))
+    return EventStream(_news_of_one(service, allowed, job, seen, kinds))
 
 
 async def _news_of_one(
-    service: Service, allowed: Pass, job_id: str, seen: Position, kinds: frozenset[str]
+    service: Service, allowed: Pass, job: Job, seen: Position, kinds: frozenset[str]
 ) -> AsyncIterator[bytes]:
     told: datetime | None = None
     behind = True
-    with _follower(service), service.broadcaster.subscribe(job_id) as subscription:
+    with _follower(service), service.broadcaster.subscribe(job.id) as subscription:
         while await allowed.valid():
-            batch = await service.feed.news(job_id, seen, kinds, hurried=behind)
+            batch = await service.feed.news(job, seen, kinds, hurried=behind)
             if batch.state is None:
-                yield _message("gone", {"id": job_id})
+                yield _message("gone", {"id": job.id})
                 return
             seen, behind = batch.position, batch.more
             if behind:

@@ -578,7 +578,9 @@ class JobsView {
   }
 
   onEvent(type, data) {
-    if (type === "ready" && !this.loaded) this.load();
+    if (type === "reset") this.news.clear();
+    if (type === "reset" || (type === "ready" && !this.ready)) this.load();
+    if (type === "ready") this.ready = true;
     if (type === "gone") this.drop(data.id);
     if (type !== "job") return;
     this.news.set(data.id, data);
