@@ -85,10 +85,11 @@ def test_the_api_sends_and_a_worker_receives(port: int) -> None:
 
 
 def test_statistics_and_health_can_be_read(port: int) -> None:
-    with connect(port, "metrics") as client:
-        assert client.info()["uptime_in_seconds"] >= 0
-    with connect(port, "health") as client:
-        assert client.ping()
+    with connect(port, "metrics") as metrics, connect(port, "health") as health:
+        before = metrics.info("commandstats").get("cmdstat_ping", {"calls": 0})["calls"]
+        assert health.ping()
+        assert metrics.info("commandstats")["cmdstat_ping"]["calls"] == before + 1
+        assert b"ping" in metrics.execute_command("LATENCY HISTOGRAM", "ping")
 
 
 @pytest.mark.parametrize("user", ["api", "worker", "metrics", "health"])

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import timedelta
 from typing import Any
 
 import pytest
 from naojobs import leases, outcomes, preemption, registry, submission
-from naojobs.capabilities import Capabilities
+from naojobs.capabilities import MATCH_QUEUE, MATCH_VERSION, Capabilities, match_task
 from naojobs.leases import Lease
-from naojobs.models import Job
+from naojobs.matches import ROBOT, MatchRequest, submit_match
+from naojobs.models import Job, Match
 from naojobs.states import WorkState
 from naojobs.submission import JobRequest
-from sqlalchemy import delete
+from sqlalchemy import delete, select, text, update
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -21,13 +25,21 @@ from tests.integration.attempts import claim_work
 Sessions = sessionmaker[Session]
 
 CAPABLE = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
+PLAYS = Capabilities(
+    {match_task(confined=False, contained=False): MATCH_VERSION, **CAPABLE.tasks},
+    [ROBOT, *CAPABLE.robots],
+    [MATCH_QUEUE, *CAPABLE.simulators],
+    CAPABLE.algorithms,
+)
+"""Capabilities of a worker that plays matches, too."""
 
 
 @pytest.fixture(autouse=True)
 def worker(sessions: Sessions) -> Iterator[str]:
-    """A registered worker; no job is left of other tests."""
+    """A registered worker; no job and no match is left of other tests."""
     with sessions.begin() as session:
         session.execute(delete(Job))
+        session.execute(delete(Match))
     registry.beat(sessions, "w", host="h", pid=1, capabilities=CAPABLE, version="0")
     yield "w"
     registry.leave(sessions, "w")
@@ -37,15 +49,86 @@ def submit(sessions: Sessions, priority: int) -> str:
     return submission.submit(sessions, JobRequest(priority=priority), owner="alice")[0].id
 
 
-def train(sessions: Sessions, worker: str) -> Lease:
-    claim = claim_work(sessions, Job, submit(sessions, 1), worker)
+def play(sessions: Sessions, priority: int) -> str:
+    request = MatchRequest(teams=("example", "example"), games=1, players=1, half_s=1.0, priority=priority)
+    return submit_match(sessions, request, owner="alice")[0].id
+
+
+def train(sessions: Sessions, worker: str, priority: int = 1) -> Lease:
+    claim = claim_work(sessions, Job, submit(sessions, priority), worker)
     assert claim is not None
     outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
     return claim.lease
 
 
-def make_room(sessions: Sessions, worker: str) -> Any:
-    return preemption.make_room(sessions, worker, CAPABLE, by=3, after_s=0)
+def make_room(sessions: Sessions, worker: str, capabilities: Capabilities = CAPABLE, after_s: float = 0) -> Any:
+    return preemption.make_room(sessions, worker, capabilities, by=3, after_s=after_s)
+
+
+@pytest.mark.parametrize(("priorities", "yields"), [((1, 4), 0), ((4, 1), 1), ((1, 1), 1), ((2, 1, 1, 4), 2)])
+def test_the_training_of_lowest_priority_makes_room_the_last_claimed_first(
+    sessions: Sessions, worker: str, priorities: tuple[int, ...], yields: int
+) -> None:
+    trainings = [train(sessions, worker, priority) for priority in priorities]
+    urgent = submit(sessions, 9)
+    assert make_room(sessions, worker) == (trainings[yields].id, urgent)
+
+
+def test_only_a_priority_higher_by_the_difference_is_urgent(sessions: Sessions, worker: str) -> None:
+    lease = train(sessions, worker, 4)
+    submit(sessions, 6)
+    assert make_room(sessions, worker) is None
+    urgent = submit(sessions, 7)
+    assert make_room(sessions, worker) == (lease.id, urgent)
+
+
+@pytest.mark.parametrize(
+    "others",
+    [{"tasks": {"sprint1": 2}}, {"robots": ["nao-4"]}, {"simulators": ["server"]}, {"algorithms": ["sac"]}],
+    ids=lambda others: next(iter(others)),
+)
+def test_a_training_makes_no_room_for_what_its_worker_cannot_run(
+    sessions: Sessions, worker: str, others: dict[str, Any]
+) -> None:
+    lease, urgent = train(sessions, worker), submit(sessions, 9)
+    assert make_room(sessions, worker, replace(CAPABLE, **others)) is None
+    assert make_room(sessions, worker) == (lease.id, urgent)
+
+
+def test_urgent_work_waits_for_a_free_worker_first(sessions: Sessions, worker: str) -> None:
+    lease, urgent = train(sessions, worker), submit(sessions, 9)
+    assert make_room(sessions, worker, after_s=60) is None
+    with sessions.begin() as session:
+        session.execute(update(Job).where(Job.id == urgent).values(queued_at=Job.queued_at - timedelta(seconds=60)))
+    assert make_room(sessions, worker, after_s=60) == (lease.id, urgent)
+
+
+@pytest.mark.parametrize(("match", "job", "first"), [(9, 8, "match"), (8, 9, "job"), (8, 8, "match")])
+def test_a_training_makes_room_for_a_match(sessions: Sessions, worker: str, match: int, job: int, first: str) -> None:
+    """It is for the more urgent of a match and a job, or for the one that has waited longer."""
+    lease = train(sessions, worker)
+    urgent = {"match": play(sessions, match), "job": submit(sessions, job)}
+    assert make_room(sessions, worker, PLAYS) == (lease.id, urgent[first])
+
+
+def test_of_two_workers_that_look_at_once_one_makes_room(sessions: Sessions, worker: str) -> None:
+    trainings = {name: train(sessions, name).id for name in (worker, "another")}
+    urgent = submit(sessions, 9)
+    waiting = text(
+        "SELECT count(*) FROM pg_locks JOIN pg_database ON pg_database.oid = database "
+        "WHERE datname = current_database() AND NOT granted"
+    )
+    with ThreadPoolExecutor(2) as pool:
+        with sessions() as blocking:
+            blocking.execute(text("LOCK TABLE events IN SHARE MODE"))  # both have looked before one has recorded it
+            made = [pool.submit(make_room, sessions, name) for name in trainings]
+            while blocking.scalar(waiting) < len(made):
+                assert not any(each.done() for each in made), "it did not look, or recorded nothing"
+        rooms = [each.result(30) for each in made]
+    with sessions() as session:
+        asked = session.scalars(select(Job.id).where(Job.yields_to.is_not(None))).all()
+    assert [room for room in rooms if room is not None] == [(job_id, urgent) for job_id in asked]
+    assert len(asked) == 1 and asked[0] in trainings.values()
 
 
 def test_another_training_makes_room_if_the_first_one_has_come_to_its_evaluation(

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import platform
 
+import pytest
 import torch
 from naojobs import registry, requests, usage
 from naojobs.capabilities import live_workers, waiting_reasons
 from naojobs.models import Job
 from naojobs.states import WorkState
+from naosprint_worker.settings import WorkerSettings
+from naosprint_worker.worker import WorkLoop
 
 from .conftest import ROLLOUT, Service, WorkerProcess
 from .test_jobs import assert_metrics_whole
@@ -33,6 +36,31 @@ def test_a_training_makes_room_for_an_urgent_one_and_resumes_from_the_same_step(
     assert 0 < resumed.data["step"] < steps
     assert resumed.data["step"] in [checkpoint.step for checkpoint in service.checkpoints(low)]
     assert_metrics_whole(service, low)
+
+
+def test_settings_and_a_full_disk_keep_a_training_from_making_room(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker without space would not claim what waits."""
+    for name, value in service.environment.items():
+        monkeypatch.setenv(name, value)
+    settings = WorkerSettings()
+    loop = WorkLoop(settings)
+    try:
+        low = service.submit(announce=False, total_steps=10**9, priority=0)
+        loop._look_for_work()
+        urgent = service.submit(announce=False, priority=9)
+        service.move_clock(60)
+        for change in ({"worker_preempt_by": 0}, {"worker_min_free_mb": 10**9}, {"worker_claim_s": 600.0}):
+            loop._settings = settings.model_copy(update=change)
+            loop._look_for_work()
+            assert service.job(low).yields_to is None, change
+        loop._settings = settings
+        loop._look_for_work()
+        asked = [event.data["for"] for event in service.events(low) if event.kind == "requeue_requested"]
+        assert asked == [urgent]
+    finally:
+        loop.close()
 
 
 def test_a_drained_worker_hands_its_training_to_another(service: Service, worker: WorkerProcess) -> None:
