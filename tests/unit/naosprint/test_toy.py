@@ -202,7 +202,7 @@ def test_the_command_line_offers_it(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["train", "--help"])
     text = " ".join(capsys.readouterr().out.split())
-    assert "--goal VALUE Distance that ends an episode, metres. Only crawl. (default: 0.5)" in text
+    assert "--goal VALUE Distance that ends an episode, metres." in text and "(task crawl) (default: 0.5)" in text
     assert "crawler" in text
 
 

@@ -37,7 +37,8 @@ class RemoteSimulator(FleetSimulator):
     At a start the robot is untangled in the air, brought into the nominal pose there, dropped at the position in which
     the embedded engine's robot has settled in this pose, and driven into its own pose for 30 cycles.
 
-    The torso's pose is as exact as the server sends it: coordinates change in steps of 0.005 (metres, matrix elements).
+    The torso's pose is as exact as the server sends it: coordinates change in steps of 0.005 (metres, matrix elements),
+    unless every cycle requests the full scene.
 
     Args:
         launcher: starts the servers.
@@ -45,6 +46,7 @@ class RemoteSimulator(FleetSimulator):
         n: number of robots.
         max_failures: number of servers that may be replaced.
         standby_servers: whether there are two servers per robot.
+        exact: request the full scene in every cycle; much slower.
 
     Raises:
         naosim.simulator.ServerLostError: if a server does not start; the message states why.
@@ -58,6 +60,7 @@ class RemoteSimulator(FleetSimulator):
         *,
         max_failures: int,
         standby_servers: bool = False,
+        exact: bool = False,
     ) -> None:
         self._remote = RemoteBatch(
             launcher,
@@ -67,6 +70,7 @@ class RemoteSimulator(FleetSimulator):
             timeout_s=_REPLY_TIMEOUT_S,
             start_timeout_s=_START_TIMEOUT_S,
             max_failures=max_failures,
+            exact=exact,
         )
         self._model = self._remote.model
         self._landing: Floats = np.zeros(3)
