@@ -1,8 +1,10 @@
-"""Compute what a policy observes, from its description as data in policy.npz; needs only NumPy."""
+"""Compute what a policy observes, from its description as data in policy.npz, and its actions; needs only NumPy."""
 
 import json
 
 import numpy as np
+
+ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
 
 
 class Observations:
@@ -95,3 +97,14 @@ class Observations:
 def latest(values, before):
     """Return values, and those before them where they are not finite."""
     return np.where(np.isfinite(values), values, before)
+
+
+def computed(network, observation, before):
+    """Return the actions of a network in [-1, 1]; those before if a number of the observation is not finite."""
+    if not np.isfinite(observation).all():
+        return before
+    values = np.clip((observation - network.mean) * network.scale, -network.clip, network.clip)
+    for i in range(network.layers):
+        values = getattr(network, f"weights_{i}") @ values + getattr(network, f"bias_{i}")
+        values = ACTIVATIONS[str(network.activations[i])](values)
+    return np.clip(values, -1, 1)

@@ -3,11 +3,10 @@
 import numpy as np
 
 try:  # in the team's code, or beside check.py
-    from mujococodebase.skills.naosprint.terms import Observations, latest
+    from mujococodebase.skills.naosprint.terms import Observations, computed, latest
 except ModuleNotFoundError:
-    from terms import Observations, latest
+    from terms import Observations, computed, latest
 
-ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
 POWER_M = 10.0  # commanded distance of a kick as far as possible
 GOAL_BEHIND_M = 1.0  # distance of a goal without a given place: where keepers wait
 
@@ -144,12 +143,7 @@ class Runner:
 
         They stay as they are if a number of the observation is not finite.
         """
-        if np.isfinite(observation).all():
-            values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
-            for i in range(self.layers):
-                values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
-                values = ACTIVATIONS[str(self.activations[i])](values)
-            self.action = np.clip(values, -1, 1)
+        self.action = computed(self, observation, self.action)
         return np.clip(self.middle_rad + self.reach_rad @ self.action, self.low_rad, self.high_rad)
 
 
