@@ -547,6 +547,7 @@ def test_a_child_starts_from_its_parents_policy_until_it_has_a_checkpoint_of_its
     [
         ({"parent_job_id": "job_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_job_id"),
         ({"spec": TrainingSpec(algorithm={"hidden_sizes": (32,)})}, "spec.algorithm.hidden_sizes"),
+        ({"spec": TrainingSpec(algorithm={"hidden_sizes": (256, 64)})}, "spec.algorithm.hidden_sizes"),
         ({"spec": TrainingSpec(algorithm={"normalize_observations": False})}, "spec.algorithm.normalize_observations"),
         ({"spec": TrainingSpec(robot="t1")}, "spec.robot"),
         ({"parent_checkpoint_id": "ckpt_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_checkpoint_id"),
@@ -561,9 +562,12 @@ def test_a_parent_that_does_not_fit_is_refused_by_field(
     assert caught.value.field == field
 
 
-def test_a_parent_may_have_trained_a_robot_of_another_type(sessions: Sessions, submit: Callable[..., Job]) -> None:
+@pytest.mark.parametrize("spec", [{"robot": "nao-4"}, {"algorithm": {"hidden_sizes": (256, 128)}}])
+def test_a_parent_may_have_another_type_of_robot_and_narrower_layers(
+    sessions: Sessions, submit: Callable[..., Job], spec: dict[str, Any]
+) -> None:
     parent = submit()
-    request = JobRequest(parent_job_id=parent.id, spec=TrainingSpec(robot="nao-4"))
+    request = JobRequest(parent_job_id=parent.id, spec=TrainingSpec(**spec))
     job, new = submission.submit(sessions, request, owner="alice")
     assert (job.parent_job_id, new) == (parent.id, True)
 

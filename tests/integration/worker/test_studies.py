@@ -519,10 +519,11 @@ def test_trials_start_from_a_policy(service: Service, conductor: Conductor) -> N
     checkpoint = record_checkpoint(
         service.sessions, take(service, parent), step=ROLLOUT, key="jobs/parent/1", manifest=manifest
     )
+    narrower = {"hidden_sizes": {"type": "choice", "choices": [[4], [8], [2]]}}
     with pytest.raises(InvalidError, match="hidden_sizes"):
         studies.submit_study(
             service.sessions,
-            StudyRequest(JobRequest(spec, parent_job_id=parent), SearchSpec.model_validate({"space": SPACE})),
+            StudyRequest(JobRequest(spec, parent_job_id=parent), SearchSpec.model_validate({"space": narrower})),
             owner="tester",
         )
     study, _ = studies.submit_study(

@@ -82,6 +82,7 @@ def submit_study(
         if search.sampler == "population":  # each may have to continue from the policy of another
             for other in ends[1:]:
                 check_fit(other, ends[0].spec, field=f"search.space.{name}")
+                check_fit(ends[0], other.spec, field=f"search.space.{name}")
     digest = request.digest() if idempotency_key is not None else None
     with sessions.begin() as session:
         quotas = (Quota.STUDIES, Quota.JOBS, *SPACE)

@@ -433,7 +433,7 @@ def check_fit(request: JobRequest, theirs: TrainingSpec, *, field: str = "") -> 
     if (misfit := request.spec.stage_specs[0].algorithm.misfit(theirs.stage_specs[-1].algorithm)) is not None:
         name, there, here = misfit
         raise InvalidError(
-            f"the parent's policy has {name} {there}, this job {here}; they must be the same",
+            f"the parent's policy has {name} {there}, this job {here}; use {there}",
             field or f"spec.algorithm.{name}",
         )
 

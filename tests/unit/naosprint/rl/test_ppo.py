@@ -446,8 +446,8 @@ def test_a_policy_goes_on_with_another_critic(open_learner: Open) -> None:
         given = giver.policy_state()
         names = giver.environment.environment.observer.names, giver.environment.environment.actuation.names
         critics = tuple(each.environment.environment.observer.critic_names for each in (giver, taker))
-        adapted = taker.adapt_policy(given, observations=(names[0],) * 2, actions=(names[1],) * 2)
-        taker.load_policy_state(taker.adapt_critic(adapted, critics))
+        adapted = taker.adapt_policy(given, observations=(names[0],) * 2, actions=(names[1],) * 2, critic=critics)
+        taker.load_policy_state(adapted)
         taken = taker.policy_state()
         np.testing.assert_array_equal(taken[actor], given[actor])
         np.testing.assert_array_equal(taken["observation_mean"], given["observation_mean"])
@@ -473,8 +473,10 @@ def test_what_a_critic_observes_is_found_by_its_name(open_learner: Open) -> None
     soft.update()
     given = soft.policy_state()
     d = given[first].shape[1] - len(names[0])
+    inner = slow.environment.environment
+    same = {"observations": (inner.observer.names,) * 2, "actions": (inner.actuation.names,) * 2}
     for known in (names[0], ()):
-        taken = slow.adapt_critic(given, (known, names[1]))
+        taken = slow.adapt_policy(given, **same, critic=(known, names[1]))
         kept = len(names[1]) - 1 if known else 0
         np.testing.assert_array_equal(taken[first][:, : d + kept], given[first][:, : d + kept])
         assert np.abs(given[first][:, d:]).min() > 0.0
@@ -492,7 +494,8 @@ def test_what_joins_a_policy_is_standardized_by_its_own_samples(open_learner: Op
     given = {**plain.policy_state(), "observation_counts": np.full(plain.environment.n_observations, 1e8)}
     privileged = open_learner(robot="t1", critic_observations=True)
     observer = privileged.environment.environment.observer
-    privileged.load_policy_state(privileged.adapt_critic(given, ((), observer.critic_names)))
+    same = {"observations": (observer.names,) * 2, "actions": (privileged.environment.environment.actuation.names,) * 2}
+    privileged.load_policy_state(privileged.adapt_policy(given, **same, critic=((), observer.critic_names)))
     assert privileged.collect()
     state, d = privileged.state(), len(observer.names)
     counts = state["normalizer.observation_counts"]

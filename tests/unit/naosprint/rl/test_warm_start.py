@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from naospec import TrainingSpec
 from naosprint import train
 from naosprint.arrays import AnyArray
@@ -23,10 +24,11 @@ from naosprint.rl.checkpoint import (
     read_manifest,
     save_checkpoint,
 )
+from naosprint.rl.networks import actor_of, critic_of
 from naosprint.rl.normalization import GUESSED_SAMPLES, NO_SAMPLES, with_counts
 from naosprint.rl.ppo import PPO
 from naosprint.rl.rollout import TrainingEnvironment
-from naosprint.rl.warm_start import adapt, with_critic
+from naosprint.rl.warm_start import adapt, widen, with_critic
 from naosprint.tasks.environment import open_training_environment
 
 from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
@@ -79,9 +81,9 @@ def test_what_a_policy_has_not_observed_is_soon_standardized_by_its_samples(make
         critics = old.observer.critic_names, new.observer.critic_names
         joints = old.actuation.names, new.actuation.names
         policy = kicker.adapt_policy(
-            {**given, "observation_count": np.array([3e8])}, observations=names, actions=joints
+            {**given, "observation_count": np.array([3e8])}, observations=names, actions=joints, critic=critics
         )
-        kicker.load_policy_state(kicker.adapt_critic(policy, critics))
+        kicker.load_policy_state(policy)
         kicker.begin()
         for _ in range(4):
             assert kicker.collect()
@@ -169,3 +171,55 @@ def test_only_what_a_policy_lacks_is_guessed() -> None:
         assert left.keys() == found.keys()
         for name in found:
             np.testing.assert_array_equal(left[name], found[name])
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_wider_networks_compute_the_same_at_first_and_learn(make_spec: Make, symmetric: bool) -> None:
+    """Also with a critic that observes more than before; afterwards what was added takes part."""
+    settings = {"robot": "t1", "symmetric_policy": symmetric}
+    narrow = make_spec(hidden_sizes=(6, 4), seed=1, **settings)
+    wide = make_spec(hidden_sizes=(10, 8), critic_observations=True, seed=2, **settings)
+    with opened(narrow) as giver, opened(wide) as taker:
+        assert giver.collect()
+        giver.update()
+        given = giver.policy_state()
+        old, new = (each.environment.environment for each in (giver, taker))
+        critic, joints = (old.observer.critic_names, new.observer.critic_names), (old.actuation.names,) * 2
+        taker.load_policy_state(
+            taker.adapt_policy(given, observations=(old.observer.names,) * 2, actions=joints, critic=critic)
+        )
+        seen = np.random.default_rng(0).normal(size=(5, len(new.observer.names) + len(critic[1]))).astype(np.float32)
+
+        def outputs(learner: PPO, seen: AnyArray) -> list[AnyArray]:
+            seen = torch.from_numpy(seen[:, : learner.environment.n_observations])
+            with torch.no_grad():
+                return [network(seen).numpy() for network in (actor_of(learner.policy), critic_of(learner.policy))]
+
+        for ours, theirs in zip(outputs(taker, seen), outputs(giver, seen), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-6)
+        began = {name: array.numpy().copy() for name, array in taker.policy.state_dict().items()}
+        assert taker.collect()
+        taker.update()
+        for name, array in taker.policy.state_dict().items():
+            if name != "log_std":
+                moved = array.numpy() != began[name]
+                # the actor's weights of what only the critic observes stay 0
+                assert moved[..., : len(new.observer.names)].all() or "bias" in name, name
+        if symmetric:
+            mirrored = seen.copy()
+            mirrored = new.observer.mirror.apply(seen.astype(float)).astype(np.float32)
+            np.testing.assert_allclose(outputs(taker, mirrored)[1], outputs(taker, seen)[1], atol=1e-5)
+
+
+def test_what_is_no_narrower_network_is_left_to_the_check() -> None:
+    layers = {"mlp_extractor.policy_net.0": (4, 3), "action_net": (2, 4), "mlp_extractor.value_net.0": (4, 3)}
+    wider = {f"{name}.weight": np.ones(shape, np.float32) for name, shape in {**layers, "value_net": (1, 4)}.items()}
+    wider |= {name.replace("weight", "bias"): np.ones(len(array), np.float32) for name, array in wider.items()}
+    fitting = dict(wider)
+    for name, array in wider.items():
+        assert all((found == fitting[each]).all() for each, found in widen(fitting, wider).items())
+        for damaged in (np.zeros((*array.shape, 1), np.float32), np.zeros((9, *array.shape[1:]), np.float32)):
+            assert widen({**fitting, name: damaged}, wider)[name] is damaged
+        del fitting[name]
+        assert widen(fitting, wider) is fitting
+        fitting[name] = array

@@ -83,17 +83,20 @@ class Learner(ABC):
         *,
         observations: tuple[Sequence[str], Sequence[str]],
         actions: tuple[Sequence[str], Sequence[str]],
+        critic: tuple[Sequence[str], Sequence[str]],
     ) -> Mapping[str, AnyArray]:
-        """Return the policy of another training rearranged for this one's observations and actions.
+        """Return the policy of another training rearranged for this one's observations, actions and settings.
 
         Args:
             state: what :meth:`policy_state` returned there.
             observations: names of the observations, of the other training and of this one.
             actions: the same for the actions.
+            critic: the same for what only a critic observes; none of the other training if they are not known.
 
         Raises:
-            ValueError: if the algorithm cannot do this; by default it can if they are the same.
+            ValueError: if the algorithm cannot do this; by default it can if observations and actions are the same.
         """
+        del critic
         if (tuple(observations[0]), tuple(actions[0])) == (tuple(observations[1]), tuple(actions[1])):
             return state
         differing = sorted({*observations[0], *actions[0]} ^ {*observations[1], *actions[1]})
@@ -102,19 +105,6 @@ class Learner(ABC):
             f"its policy has other observations or actions ({names}), to which this algorithm cannot adapt it; "
             "use the same robot and task"
         )
-
-    def adapt_critic(
-        self, state: Mapping[str, AnyArray], names: tuple[Sequence[str], Sequence[str]]
-    ) -> Mapping[str, AnyArray]:
-        """Return the policy of another training rearranged for what only this one's critic observes.
-
-        Args:
-            state: what :meth:`adapt_policy` returned.
-            names: names of what only a critic observes, of the other training (none if they are not known) and of this
-                one.
-        """
-        del names
-        return state
 
     def upgraded_state(self, state: Mapping[str, AnyArray]) -> Mapping[str, AnyArray]:
         """Return what :meth:`state` of an earlier version returned as this version's."""

@@ -29,7 +29,7 @@ from naosprint.rl.networks import TorchForward, actor_of, blind, critic_of, line
 from naosprint.rl.normalization import COUNT, CRITIC, STATISTICS, Normalizer, with_counts
 from naosprint.rl.settings import PPOSettings
 from naosprint.rl.symmetry import Symmetry, tie_weights
-from naosprint.rl.warm_start import adapt, with_critic
+from naosprint.rl.warm_start import adapt, widen, with_critic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -446,20 +446,15 @@ class PPO(Learner):
         *,
         observations: tuple[Sequence[str], Sequence[str]],
         actions: tuple[Sequence[str], Sequence[str]],
+        critic: tuple[Sequence[str], Sequence[str]],
     ) -> Mapping[str, AnyArray]:
-        """Return the policy of another training rearranged by names; see :func:`naosprint.rl.warm_start.adapt`."""
+        """Return the policy of another training rearranged by names; see :mod:`naosprint.rl.warm_start`."""
         state = with_counts(state)
         if (observations[0], actions[0]) != (observations[1], actions[1]):
             inner = self.environment.environment
             rest, spreads = inner.actuation.rest, inner.observer.spreads
             state = adapt(state, observations=observations, actions=actions, rest=rest, spreads=spreads)
-        return state
-
-    def adapt_critic(
-        self, state: Mapping[str, AnyArray], names: tuple[Sequence[str], Sequence[str]]
-    ) -> Mapping[str, AnyArray]:
-        """Return it rearranged by the names of what only a critic observes."""
-        return with_critic(state, self._n_seen, names)
+        return widen(with_critic(state, self._n_seen, critic), self.policy_state())
 
     def state(self) -> dict[str, AnyArray]:
         """Return optimizer, generator, episode starts, normalization, and the latest weights."""

@@ -362,10 +362,10 @@ class _Session:
                 policy,
                 observations=(manifest.observations, environment.observer.names),
                 actions=(manifest.actions, environment.actuation.names),
+                critic=(manifest.critic, environment.observer.critic_names),
             )
         except ValueError as error:
             raise CheckpointError(f"{directory}: {error}") from error
-        policy = self.learner.adapt_critic(policy, (manifest.critic, environment.observer.critic_names))
         require_like(directory / POLICY, policy, self.learner.policy_state())
         self.learner.load_policy_state(policy)
         self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")

@@ -118,7 +118,10 @@ class PPOSettings(LearnerSettings):
         min_length=1,
         max_length=8,
         title="Hidden layers",
-        description="Units of each hidden tanh layer, for actor and critic alike.",
+        description=(
+            "Units of each hidden tanh layer, for actor and critic alike. A training that starts from a policy can "
+            "have wider layers."
+        ),
     )
     weight_initialization: Literal["orthogonal", "unit_norm"] = Field(
         default=_fast("weight_initialization"),
@@ -259,8 +262,17 @@ class PPOSettings(LearnerSettings):
 
         A policy that treats left and right alike can stop doing so; another one could begin to only as another policy.
         """
-        shape = {"hidden_sizes": list(self.hidden_sizes), "normalize_observations": self.normalize_observations}
+        shape: dict[str, Any] = {"normalize_observations": self.normalize_observations}
         return {**shape, "symmetric_policy": True} if self.symmetric_policy else shape
+
+    def misfit(self, start: LearnerSettings) -> tuple[str, Any, Any] | None:
+        """Return the first setting that differs; see :meth:`LearnerSettings.misfit`. Layers can be wider than there."""
+        sizes: tuple[int, ...] = getattr(start, "hidden_sizes", ())
+        if len(sizes) != len(self.hidden_sizes) or any(
+            ours < theirs for ours, theirs in zip(self.hidden_sizes, sizes, strict=True)
+        ):
+            return "hidden_sizes", list(sizes), list(self.hidden_sizes)
+        return super().misfit(start)
 
 
 METRICS: tuple[Metric, ...] = (

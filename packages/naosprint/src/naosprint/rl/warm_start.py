@@ -1,4 +1,4 @@
-"""Adaptation of a policy to a robot with other joints, or a task with other observations."""
+"""Adaptation of a policy to a robot with other joints, a task with other observations, or wider networks."""
 
 from __future__ import annotations
 
@@ -101,6 +101,43 @@ def with_critic(
         for name, blank in zip(_CRITIC, (0.0, 1.0, NO_SAMPLES), strict=True):
             fitted[name] = np.where(new, blank, np.append(policy.get(name, ()), blank)[known])
     return fitted
+
+
+def widen(policy: Mapping[str, AnyArray], wider: Mapping[str, AnyArray]) -> Mapping[str, AnyArray]:
+    """Embed a policy's networks in those of a wider policy without a change of what they compute.
+
+    Added units keep the wider policy's weights, and what follows gives them weight 0 at first (after Chen, Goodfellow
+    and Shlens, "Net2Net: Accelerating Learning via Knowledge Transfer", 2016). Pairs of mirrored units stay pairs.
+    Arrays that do not fit stay as they are, for who checks them.
+
+    Args:
+        policy: weights by name, for as many layers and the same inputs and outputs.
+        wider: weights of a new policy, with at least as many units in each layer.
+    """
+    fitted = dict(policy)
+    for net in ("policy", "value"):
+        hidden = [name.removesuffix(".weight") for name in wider if name.startswith(f"mlp_extractor.{net}_net.")]
+        head = "action_net" if net == "policy" else "value_net"
+        columns = None
+        for layer in (*(name for name in hidden if not name.endswith(".bias")), head):
+            weight, bias = f"{layer}.weight", f"{layer}.bias"
+            old, new = policy.get(weight, np.zeros(0)), wider[weight]
+            columns = np.arange(new.shape[1]) if columns is None else columns
+            fits = old.ndim == 2 and old.shape[1] == len(columns) and len(old) <= len(new)
+            if not fits or np.shape(policy.get(bias)) != (len(old),):
+                return policy
+            rows = _places(len(old), len(new))
+            fitted[weight], fitted[bias] = new.copy(), wider[bias].copy()
+            fitted[weight][rows], fitted[bias][rows] = np.float32(0.0), policy[bias]
+            fitted[weight][np.ix_(rows, columns)] = old
+            columns = rows
+    return fitted
+
+
+def _places(old: int, new: int) -> AnyArray:
+    """Return where the units of a layer are in a wider one: each half in a half, since they mirror each other."""
+    half = old if old % 2 or new % 2 else old // 2
+    return np.append(np.arange(half), new // 2 + np.arange(old - half))
 
 
 def _indices(old: Sequence[str], new: Sequence[str]) -> tuple[AnyArray, AnyArray]:
