@@ -130,6 +130,8 @@ def test_a_model_varied_again_is_one_varied_from_the_start(robot: Robot, scene: 
         again = world.varied(other, np.random.default_rng(2), used.model)
         assert again.model is used.model and equal_models(again.model, fresh.model)
         assert again.stiffness == fresh.stiffness
+        library().mj_setConst(fresh.model, library().MjData(fresh.model))
+        assert equal_models(again.model, fresh.model), "what MuJoCo computed before changes nothing"
     assert equal_models(world.model, usual)
 
 

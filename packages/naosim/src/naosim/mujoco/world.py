@@ -202,7 +202,7 @@ class MujocoWorld:
         model.geom_friction[self.geoms, 0] *= variation.friction
         model.opt.gravity *= variation.gravity
         model.geom_solref[:] = contact_parameters(self, variation.stiffness)
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        mujoco.mj_setConst(model, self._scratch)
         return replace(self, model=model, stiffness=variation.stiffness)
 
     def new_data(self, ball_position: tuple[float, float] = PARKED_BALL_M) -> Any:
@@ -211,6 +211,11 @@ class MujocoWorld:
         if self.ball:
             data.qpos[:2] = ball_position
         return data
+
+    @cached_property
+    def _scratch(self) -> Any:
+        """``MjData`` in which MuJoCo computes constants of variations; making one takes a millisecond."""
+        return library().MjData(self.model)
 
     @cached_property
     def moving(self) -> tuple[int, ...]:

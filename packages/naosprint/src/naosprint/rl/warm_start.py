@@ -12,7 +12,7 @@ from naosprint.tasks.observations import PAST
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from naosprint.arrays import AnyArray, FloatArray
+    from naosprint.arrays import AnyArray, FloatArray, IntArray
 
 _CRITIC = tuple(CRITIC + name for name in STATISTICS)
 _FIRST_LAYERS = ("mlp_extractor.policy_net.0.weight", "mlp_extractor.value_net.0.weight")
@@ -118,13 +118,13 @@ def widen(policy: Mapping[str, AnyArray], wider: Mapping[str, AnyArray]) -> Mapp
     for net in ("policy", "value"):
         hidden = [name.removesuffix(".weight") for name in wider if name.startswith(f"mlp_extractor.{net}_net.")]
         head = "action_net" if net == "policy" else "value_net"
-        columns = None
+        columns: IntArray | None = None
         for layer in (*(name for name in hidden if not name.endswith(".bias")), head):
             weight, bias = f"{layer}.weight", f"{layer}.bias"
             old, new = policy.get(weight, np.zeros(0)), wider[weight]
             columns = np.arange(new.shape[1]) if columns is None else columns
             fits = old.ndim == 2 and old.shape[1] == len(columns) and len(old) <= len(new)
-            if not fits or np.shape(policy.get(bias)) != (len(old),):
+            if not fits or policy.get(bias, np.zeros(0)).shape != (len(old),):
                 return policy
             rows = _places(len(old), len(new))
             fitted[weight], fitted[bias] = new.copy(), wider[bias].copy()
@@ -134,10 +134,10 @@ def widen(policy: Mapping[str, AnyArray], wider: Mapping[str, AnyArray]) -> Mapp
     return fitted
 
 
-def _places(old: int, new: int) -> AnyArray:
+def _places(old: int, new: int) -> IntArray:
     """Return where the units of a layer are in a wider one: each half in a half, since they mirror each other."""
     half = old if old % 2 or new % 2 else old // 2
-    return np.append(np.arange(half), new // 2 + np.arange(old - half))
+    return np.append(np.arange(half, dtype=np.int64), new // 2 + np.arange(old - half, dtype=np.int64))
 
 
 def _indices(old: Sequence[str], new: Sequence[str]) -> tuple[AnyArray, AnyArray]:
