@@ -281,4 +281,17 @@ NB_MODULE(_compiled, m) {
                   normal(seed, static_cast<std::uint64_t>(streams.data()[k]), static_cast<std::uint64_t>(draws.data()[k]), c);
         },
         nb::arg("seed"), nb::arg("streams"), nb::arg("draws"), nb::arg("out"));
+  m.def("add_normal",
+        [](const Doubles& values, const Inputs& deviations, const Flags& where, std::uint64_t seed, const Index& streams, const Index& draws) {
+          const std::size_t rows = streams.size();
+          require(values.ndim() == 2 && values.shape(0) == rows && draws.size() == rows && deviations.size() == rows && where.size() == rows,
+                  "deviations, where, streams, draws: one per row is needed");
+          const std::size_t width = values.shape(1);
+          for (std::size_t k = 0; k < rows; ++k)
+            for (std::size_t c = 0; where.data()[k] && c < width; ++c)
+              values.data()[k * width + c] +=
+                  deviations.data()[k] *
+                  normal(seed, static_cast<std::uint64_t>(streams.data()[k]), static_cast<std::uint64_t>(draws.data()[k]), c);
+        },
+        nb::arg("values").noconvert(), nb::arg("deviations"), nb::arg("where"), nb::arg("seed"), nb::arg("streams"), nb::arg("draws"));
 }

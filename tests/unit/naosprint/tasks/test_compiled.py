@@ -22,7 +22,7 @@ from naosprint.tasks.kick import Kick
 from naosprint.tasks.sprint import Sprint1, Sprint2, SprintSettings
 from naosprint.tasks.velocity import Velocity
 from naosprint.terms import exp, log, source, sqrt, stack
-from naosprint.terms.randomness import hashed, normal
+from naosprint.terms.randomness import add_normal, hashed, normal
 
 NAO = robots.get("nao-0")
 FULL = {"drift_penalty": 0.7, "fall_penalty_m": 0.3, "smoothness_penalty": 0.2, "action_penalty": 0.1}
@@ -273,6 +273,20 @@ def test_normal_numbers_are_sums_of_hashed_ones(seed: int) -> None:
     keys = (np.repeat(streams, 3 * count), np.repeat(draws, 3 * count), np.tile(np.arange(3 * count), 9))
     sums = hashed(seed, *keys).view(np.uint16).reshape(9, count, 12).sum(axis=2, dtype=np.float64)
     np.testing.assert_array_equal(normal(seed, streams, draws, count), (sums + 6.0) / 2.0**16 - 6.0)
+
+
+def test_normal_numbers_are_added_to_some_rows() -> None:
+    """As NumPy adds them, and never to a copy."""
+    rng = np.random.default_rng(0)
+    given, where, deviations = rng.normal(size=(9, 5)), rng.uniform(size=9) < 0.5, rng.uniform(size=9)
+    streams, draws = np.arange(9), np.arange(9) + 99
+    expected, found = given.copy(), given.copy()
+    expected[where] += (deviations[:, None] * normal(3, streams, draws, 5))[where]
+    add_normal(found, deviations, where, 3, streams, draws)
+    assert found.tobytes() == expected.tobytes()
+    for values in (given.astype(np.float32), given[:, :3], given[:4]):
+        with pytest.raises((TypeError, ValueError)):
+            add_normal(values, deviations, where, 3, streams, draws)
 
 
 def reference_merge(moments: RunningMoments, batch: np.ndarray, mirror: Mirror | None = None) -> None:

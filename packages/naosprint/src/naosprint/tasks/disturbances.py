@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from naosprint.tasks.observations import ObservationBlock
 from naosprint.terms import source
-from naosprint.terms.randomness import normal, uniform
+from naosprint.terms.randomness import add_normal, normal, uniform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -483,9 +483,8 @@ class Disturbances:
             if pushed.any():
                 self._simulator.push(np.stack([size * np.cos(direction), size * np.sin(direction)], axis=1), rows)
         for number, (name, deviation) in enumerate(self._noise.items(), 1):
-            values = self._simulator.perceptors[name][rows]
-            noise = normal(self._seed + _STREAM + number, streams[noisy], counts[noisy], values.shape[1])
-            values[noisy] += deviation * self._strength[rows][noisy, None] * noise
+            deviations, seed = deviation * self._strength[rows], self._seed + _STREAM + number
+            add_normal(self._simulator.perceptors[name][rows], deviations, noisy, seed, streams, counts)
         if self._ball_noise_m:
             # a report is a distance and two angles, which are off by less the farther the ball is; NaN: none
             report = self._simulator.perceptors[BALL][rows]

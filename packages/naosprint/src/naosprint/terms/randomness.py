@@ -9,7 +9,7 @@ import numpy as np
 from naosprint import _compiled
 
 if TYPE_CHECKING:
-    from naosprint.arrays import Float32Array, FloatArray, IntArray
+    from naosprint.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 
 def hashed(seed: int, *keys: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
@@ -44,6 +44,22 @@ def normal(seed: int, streams: IntArray, draws: IntArray, count: int) -> FloatAr
     numbers: FloatArray = np.empty((len(streams), count))
     _compiled.normal(seed % 2**64, streams, draws, numbers)
     return numbers
+
+
+def add_normal(
+    values: FloatArray, deviations: FloatArray, where: BoolArray, seed: int, streams: IntArray, draws: IntArray
+) -> None:
+    """Add what :func:`normal` returns to some rows of (k, W) values, in place.
+
+    Args:
+        values: contiguous, and changed.
+        deviations: (k,) standard deviations.
+        where: (k,) rows that are changed.
+        seed: any seed.
+        streams: (k,) as for :func:`normal`.
+        draws: (k,) as for :func:`normal`.
+    """
+    _compiled.add_normal(values, deviations, where, seed % 2**64, streams, draws)
 
 
 class Normals:
