@@ -16,12 +16,12 @@ from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 Make = Callable[..., TrainingSpec]
 
 FIRST: dict[str, Any] = {"learning_rate": 1e-3}
-SECOND: dict[str, Any] = {"learning_rate": 2e-4, "n_steps": 16, "final_log_std": -2.5}
+SECOND: dict[str, Any] = {"learning_rate": 2e-4, "n_steps": 16, "final_log_std": -2.5, "hidden_sizes": (24, 16)}
 DRIFT = 0.25
 
 
 def two_stages(make_spec: Make) -> TrainingSpec:
-    """Return a training whose second stage has another learning rate, rollout, seed and reward."""
+    """Return a training whose second stage has another learning rate, rollout, width, seed and reward."""
     stages = [
         {"steps": 512, "algorithm": FIRST},
         {"steps": 512, "seed": 9, "algorithm": SECOND, "task": {"drift_penalty": DRIFT}},
