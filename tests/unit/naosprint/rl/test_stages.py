@@ -16,7 +16,7 @@ from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 Make = Callable[..., TrainingSpec]
 
 FIRST: dict[str, Any] = {"learning_rate": 1e-3}
-SECOND: dict[str, Any] = {"learning_rate": 2e-4, "n_steps": 16, "final_log_std": -2.5, "hidden_sizes": (24, 16)}
+SECOND: dict[str, Any] = {"learning_rate": 2e-4, "n_steps": 16, "final_log_std": -2.5, "hidden_sizes": [24, 16]}
 DRIFT = 0.25
 
 
