@@ -92,7 +92,10 @@ def main() -> int:
         parts = list(naopolicies.card(options.after)["lineage"]) if options.after else []
         for folder in options.training:
             checkpoint = max(folder.glob("step-*"), key=lambda path: read_manifest(path).steps)
-            parts += stages(folder.name, read_manifest(checkpoint).spec, read_metrics(folder / "metrics.jsonl"))
+            manifest = read_manifest(checkpoint)
+            # a training that was killed has gone on after its last checkpoint
+            rows = [row for row in read_metrics(folder / "metrics.jsonl") if row["step"] <= manifest.steps]
+            parts += stages(folder.name, manifest.spec, rows)
         put_in_place(name, checkpoint, options.earlier)
         write(name, EvaluationSpec(episodes=options.episodes, seed=EVALUATION_SEED), parts, options.parts)
         return 0

@@ -773,7 +773,15 @@ def test_the_bundled_policies_are_listed_with_their_results(browser: Browser, to
         return [str(e.get_attribute("data-policy")) for e in browser.all("[data-policy]")]
 
     browser.set("input[aria-label='Search policies']", "pushed slippery")
-    pushed = ["t1-sprint-robust", "t1-run-robust", "t1-run-steady", "t1-run-wide", "t1-getup-robust", "k1-run"]
+    pushed = [
+        "t1-sprint-robust",
+        "t1-run-firm",
+        "t1-run-robust",
+        "t1-run-steady",
+        "t1-run-wide",
+        "t1-getup-robust",
+        "k1-run",
+    ]
     browser.until(lambda: names() == pushed)
     browser.find("[data-filter=robot]").send_keys("Booster K1")
     browser.until(lambda: names() == ["k1-run"])

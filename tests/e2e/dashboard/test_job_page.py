@@ -157,3 +157,68 @@ def test_wall_clock_of_metrics_has_the_gaps_of_pauses(browser: Browser) -> None:
     )
     start = 1_767_225_600
     assert clock == [start + 10, start + 20, start + 3600 + 12]
+
+
+def test_pages_that_were_left_hold_no_connections(browser: Browser, token: str, job_id: str) -> None:
+    browser.sign_in(token)
+    for _ in range(8):  # a browser opens six connections to one origin, and keeps the pages of its Back button
+        browser.open(f"/jobs/{job_id}")
+        browser.shows("page", "h1", timeout_s=30)
+        browser.shows("Live", ".top")
+
+
+def test_a_page_that_is_returned_to_is_live_again(
+    browser: Browser, token: str, client: httpx.Client, job_id: str
+) -> None:
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}")
+    browser.shows("Live", ".top")
+    browser.js("window.kept = true")
+    browser.driver.get("about:blank")
+    client.post(f"/jobs/{job_id}/cancel").raise_for_status()
+    browser.driver.back()
+    assert browser.js("return window.kept"), "the browser has loaded the page again instead of keeping it"
+    browser.find("[data-state=cancelled]")
+
+
+def test_an_ended_job_is_read_again_when_its_page_gets_the_focus(
+    browser: Browser, token: str, client: httpx.Client, job_id: str
+) -> None:
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}")
+    browser.shows("Live", ".top")
+    client.post(f"/jobs/{job_id}/cancel").raise_for_status()
+    browser.find("[data-state=cancelled]")
+    browser.until(lambda: "Live" not in browser.text(".top"), message="the stream of an ended job stays open")
+    client.post(f"/jobs/{job_id}/retry").raise_for_status()
+    browser.js("dispatchEvent(new Event('focus'))")
+    browser.find("[data-state=queued]")
+    client.post(f"/jobs/{job_id}/cancel").raise_for_status()
+    browser.find("[data-state=cancelled]")
+    browser.until(lambda: "Live" not in browser.text(".top"))
+    client.delete(f"/jobs/{job_id}").raise_for_status()
+    browser.allowed.append("404")
+    browser.find("[data-action=retry]").click()  # refused: there is no such job any more
+    browser.shows("Jobs", "h1")
+
+
+def test_a_name_without_spaces_stays_beside_the_buttons(browser: Browser, token: str, client: httpx.Client) -> None:
+    job_id = client.post("/jobs", json={"name": "x" * 100, **WAITING}).json()["id"]
+    browser.sign_in(token)
+    for width in (390, 1280):
+        browser.size(width, 900)
+        browser.open(f"/jobs/{job_id}")
+        browser.find("h1")
+        assert browser.js("return document.documentElement.scrollWidth") <= width
+        title, buttons = (browser.find(selector).rect for selector in ("h1", ".page-head > :last-child"))
+        beside = title["x"] + title["width"] <= buttons["x"]
+        assert beside or title["y"] + title["height"] <= buttons["y"], f"the name lies under the buttons at {width} px"
+
+
+def test_a_job_with_a_start_time_waits_for_no_worker(browser: Browser, token: str, client: httpx.Client) -> None:
+    body = {"name": "night", **WAITING, "spec": {"total_steps": 8192}, "not_before": "2100-01-01T00:00:00Z"}
+    job_id = client.post("/jobs", json=body).json()["id"]
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}")
+    browser.shows("Waiting for its time. It is to start at 2100-01-01", "[data-part=waiting]")
+    assert "for a worker" not in browser.text("main")

@@ -116,7 +116,7 @@ def test_a_wrong_job_is_named_where_it_stands(client: httpx.Client, paths: dict[
 
 def test_matches_are_found_by_tag(client: httpx.Client) -> None:
     ids = [client.post("/matches", json=body_of("matches", tags=tags)).json()["id"] for tags in (["a", "b"], ["a"])]
-    for tags, found in ((["a"], ids[::-1]), (["a", "b"], ids[:1]), (["c"], [])):
+    for tags, found in ((["a"], ids[::-1]), (["a", "b"], ids[:1]), (["c"], []), (["\x00"], [])):
         assert [match["id"] for match in client.get("/matches", params={"tag": tags}).json()["items"]] == found
 
 

@@ -71,5 +71,5 @@ def test_paused_job_goes_on_elsewhere(
         assert [row.step for row in moved.metrics(job_id)] == list(range(ROLLOUT, steps + 1, ROLLOUT))
         with moved.sessions() as session:
             evaluation = session.query(Evaluation).where(Evaluation.job_id == job_id).one()
-        assert moved.store.exists(f"{evaluation.key}/evaluation.json")
+        assert moved.store.get_bytes(f"{evaluation.key}/evaluation.json")
     assert service.job(job_id).state is WorkState.PAUSED

@@ -569,3 +569,20 @@ def test_trials_run_elsewhere(service: Service, conductor: Conductor) -> None:
     assert [trial.values for trial in told(service, study.id)] == [[1.5], None, [0.5]]
     with pytest.raises(ConflictError, match=f"study {study.name} is finished; extend it to continue"):
         studies.tell(service.sessions, study.id, second.number, values=[2.0])
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_trials_of_a_cancelled_study_that_is_extended_are_over_for_its_sampler(
+    service: Service, conductor: Conductor, elsewhere: bool
+) -> None:
+    """A sampler avoids what is being tried, and would do so for ever."""
+    from optuna.trial import TrialState as Told
+
+    objectives = [{"metric": "reward", "direction": "maximize"}]
+    study = start(service, trials=2, parallel=2, elsewhere=elsewhere, objectives=objectives)
+    conductor.advance(study.id)
+    studies.cancel_study(service.sessions, study.id)
+    studies.extend_study(service.sessions, study.id, 4)
+    conductor.advance(study.id)
+    assert [row.state for row in study_of(service, study.id)[1]] == [TrialState.FAILED] * 2 + [TrialState.RUNNING] * 2
+    assert [trial.state for trial in told(service, study.id)] == [Told.FAIL] * 2 + [Told.RUNNING] * 2

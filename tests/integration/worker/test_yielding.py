@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import threading
 
 import pytest
 import torch
@@ -59,6 +60,26 @@ def test_settings_and_a_full_disk_keep_a_training_from_making_room(
         loop._look_for_work()
         asked = [event.data["for"] for event in service.events(low) if event.kind == "requeue_requested"]
         assert asked == [urgent]
+    finally:
+        loop.close()
+
+
+def test_a_run_that_gets_no_thread_leaves_its_slot_free(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container with too few processes allowed: threads count, too."""
+    for name, value in service.environment.items():
+        monkeypatch.setenv(name, value)
+    loop = WorkLoop(WorkerSettings())
+    try:
+        service.submit(announce=False, total_steps=10**9)
+        before = threading.stack_size(1 << 40)  # of which no thread can be made
+        try:
+            with pytest.raises(RuntimeError, match="can't start new thread"):
+                loop._look_for_work()
+        finally:
+            threading.stack_size(before)
+        second = service.submit(announce=False, total_steps=10**9)
+        loop._look_for_work()
+        assert service.job(second).lease_owner == loop.id
     finally:
         loop.close()
 

@@ -109,19 +109,67 @@ def results(path: str) -> Any:
 
 @pytest.mark.parametrize("name", ["README.md", "docs/policies/index.md"])
 def test_tables_of_policies_state_the_results_on_their_cards(name: str) -> None:
-    """Every number with a decimal after a link to a policy's page is one of its results, rounded."""
+    """Every number with a decimal or in percent after a link to a policy's page is one of its results, rounded."""
     checked = set()
     for shown, page, after in re.findall(
         r"\[([^\]]*)\]\((?:docs/policies/)?([\w-]+)\.md\)([^|;·\[]*)", (ROOT / name).read_text("utf-8")
     ):
         if page in naopolicies.names():
-            values = [one["value"] for one in naopolicies.card(page)["results"] if one["value"] is not None]
-            for number in re.findall(r"\d+\.\d+", shown + after):
+            card = naopolicies.card(page)
+            rows = [card["results"], *(row["results"] for row in card.get("robustness") or ())]
+            values = [one["value"] for row in rows for one in row if one["value"] is not None]
+            for number in re.findall(r"\d+\.\d+|\d+(?=(?: and \d+)? %)", shown + after):
                 digits = len(number.partition(".")[2])
                 known = {f"{scale * value:.{digits}f}" for value in values for scale in (1, 100)}
                 assert number in known, f"{page}: {number}"
                 checked.add(page)
     assert len(checked) >= 5
+
+
+DISTURBED = {
+    "pushes of 1 m/s": "pushes of up to 1 m/s every 2 s",
+    "20 ms more delay": "20 ms more delay",
+    "noise on all sensors": "sensor noise (0.5 degrees, 5 deg/s, 5 mm)",
+    "friction times 0.6": "friction times 0.6",
+    "1 cm of noise on the ball": "1 cm of noise on the ball",
+    "the first four and masses at once": "the first five at once",
+}
+"""By row of the table of kicks, what the card calls its disturbance."""
+ROWS = {
+    "falls; upright": ("fall_rate", "upright_rate"),
+    "corridor of 5 m": ("corridor_5_rate",),
+    "direction error, median / 90th percentile": ("stop_error_deg", "stop_error_90_deg"),
+    "distance error; power kick": ("distance_error", "power_distance_m"),
+    "along the first line": ("line_rate",),
+    "around the corner and along the second": ("corner_rate",),
+    "ball never more than 0.8 m ahead": ("kept_rate",),
+    "speed on the line": ("course_speed_mps",),
+    "falls": ("fall_rate",),
+    **dict.fromkeys(DISTURBED, ("upright_rate", "corridor_5_rate")),
+}
+"""By row of the tables that compare two policies, the results in its cells."""
+
+
+def test_the_page_of_kicks_states_the_results_on_the_cards() -> None:
+    """Every result in a table with a column for each of two policies, and what a K1 does when all disturb it."""
+    text = (ROOT / "docs" / "how-to" / "kick.md").read_text("utf-8")
+    checked = 0
+    for first, second, body in re.findall(r"^\| \| `([\w-]+)` \| `([\w-]+)` \|\n((?:\|.*\n)+)", text, re.MULTILINE):
+        for label, *cells in (line.strip("| ").split(" | ") for line in body.splitlines()):
+            for policy, cell in zip((first, second), cells, strict=True) if label in ROWS else ():
+                card = naopolicies.card(policy)
+                rows = {row["disturbance"]: row["results"] for row in card["robustness"]}
+                row = rows[DISTURBED[label]] if label in DISTURBED else card["results"]
+                found = {one["name"]: one["value"] for one in row}
+                for name, shown in zip(ROWS[label], re.findall(r"\d+(?:\.\d+)?", cell), strict=True):
+                    scale = 100 if name.endswith("rate") or name == "distance_error" else 1
+                    assert shown == f"{scale * found[name]:.{len(shown.partition('.')[2])}f}", f"{policy}: {label}"
+                    checked += 1
+    assert checked == 2 * (7 + 2 * 6 + 5)
+    (shown,) = re.findall(r"at once it is upright in (\d+) %", text.replace("\n", " "))
+    results = {row["disturbance"]: row["results"] for row in naopolicies.card("k1-kick")["robustness"]}
+    (upright,) = (one["value"] for one in results["the first five at once"] if one["name"] == "upright_rate")
+    assert shown == f"{100 * upright:.0f}"
 
 
 def test_the_results_of_the_accuracy_page_are_those_that_were_measured() -> None:

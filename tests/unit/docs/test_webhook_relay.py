@@ -95,7 +95,13 @@ def test_the_relay_forwards_each_message_once(monkeypatch: pytest.MonkeyPatch) -
         evaluated = {"name": "day", "state": "succeeded", "error": None, "results": results}
         assert send("msg_2", "evaluation.finished", evaluated) == 204
         assert send("msg_3", "job.ended", failed, "whsec_b3RoZXI=") == 401
-    texts = ["job.ended: night failed\nout of memory", "evaluation.finished: day succeeded, speed 3.5"]
+        played = {"match_id": "match_1", "teams": ["a", "b"], "games": 20, "state": "succeeded", "error": None}
+        assert send("msg_4", "match.ended", played) == 204
+    texts = [
+        "job.ended: night failed\nout of memory",
+        "evaluation.finished: day succeeded, speed 3.5",
+        "match.ended: a against b succeeded",
+    ]
     assert [message["text"] for message in chat] == texts
     (mail,) = mails
     assert "Subject: naosprint: night failed" in mail and "out of memory" in mail

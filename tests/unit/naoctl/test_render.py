@@ -181,6 +181,14 @@ def test_columns_are_fields_settings_and_metrics(job: Callable[..., dict[str, An
     assert lines[1].split() == [job()["id"], "nao-0", "0.0005", "2.25", "-"]
 
 
+def test_a_short_name_is_a_setting_where_nothing_else_has_it(
+    job: Callable[..., dict[str, Any]],
+) -> None:
+    spec = {"algorithm": {"name": "ppo", "gamma": 0.98, "learning_rate": 5e-4}}
+    found = job(spec={**job()["spec"], **spec}, latest_metrics={"learning_rate": 1e-4})
+    assert [render.value_of(found, name) for name in ("gamma", "n_envs", "learning_rate")] == [0.98, None, 1e-4]
+
+
 def test_a_job_in_detail(job: Callable[..., dict[str, Any]]) -> None:
     text = shown(render.job_details(job(state="failed", error="the disk is full", cancel_requested=True)))
     for words in ("250 of 1,000 steps (25%)", "failed (cancel requested)", "the disk is full", "preset fast, seed 0"):

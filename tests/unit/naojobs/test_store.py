@@ -80,7 +80,7 @@ def test_without_its_manifest_an_artifact_is_not_there(
     monkeypatch.setattr(store, "put_bytes", fail)
     with pytest.raises(StoreError):
         store.put_directory("a/b", folder)
-    assert store.exists("a/b/a.npz")
+    assert "a/b/a.npz" in store.list("a/b")
     with pytest.raises(MissingArtifactError):
         store.get_directory("a/b", tmp_path / "out")
 
@@ -115,7 +115,6 @@ def test_parts_of_a_file(store: ArtifactStore) -> None:
 
 
 def test_what_is_missing_is_missing_at_once(store: ArtifactStore) -> None:
-    assert not store.exists("nothing")
     for read in (store.get_bytes, store.stream, store.manifest):
         with pytest.raises(MissingArtifactError):
             read("nothing")

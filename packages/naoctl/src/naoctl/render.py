@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import math
@@ -9,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
+from naospec import flat
 from naospec.metrics import format_value
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -265,19 +267,33 @@ def chosen_table(jobs: Sequence[Json], names: Sequence[str]) -> Table:
 
 
 def value_of(job: Json, name: str) -> Any:
-    """Return what a job has under a name: a field, a setting such as ``algorithm.gamma``, a result or a metric."""
+    """Return what a job has under a name: a field, a setting such as ``algorithm.gamma``, a result or a metric.
+
+    A setting's short name, such as ``gamma``, means the setting where nothing else has that name.
+    """
     if name == "done":
         return percent(job)
     if name in ("task", "robot", "simulator"):
         return section_name(job["spec"], name)
-    value: Any = job["spec"]
-    for part in name.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
+    value = _setting(job, tuple(name.split(".")))
     if value is not None:
         return value
     results = {item["name"]: item["value"] for item in (shown_result(job) or {}).get("results", ())}
     fields = {"steps": job["total_steps"], "submitted": job.get("created_at")}
-    return fields.get(name, results.get(name, (job.get("latest_metrics") or {}).get(name, job.get(name))))
+    value = fields.get(name, results.get(name, (job.get("latest_metrics") or {}).get(name, job.get(name))))
+    return _setting(job, _short_names().get(name, ())) if value is None else value
+
+
+def _setting(job: Json, path: tuple[str, ...]) -> Any:
+    value: Any = job["spec"] if path else None
+    for part in path:
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+@functools.cache
+def _short_names() -> dict[str, tuple[str, ...]]:
+    return {name: setting.path for name, setting in flat.settings().items()}
 
 
 def _text(value: Any) -> str:

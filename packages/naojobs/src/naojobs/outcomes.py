@@ -242,7 +242,7 @@ def _lose(session: Session, work: AnyWork, reason: str, *, counts: bool = True) 
     return target
 
 
-def requeue_stale(sessions: Sessions, *, lease_s: float = DEFAULT_LEASE_S, limit: int = 100) -> list[Requeued]:
+def requeue_stale(sessions: Sessions, *, lease_s: float = DEFAULT_LEASE_S) -> list[Requeued]:
     """Count a failed attempt for all work whose lease has expired, and queue it again or end it; return the new states.
 
     An attempt whose last heartbeat is older than the database's start counts as none: the machine, the container engine
@@ -258,7 +258,7 @@ def requeue_stale(sessions: Sessions, *, lease_s: float = DEFAULT_LEASE_S, limit
         # A constraint lets leased work, and no other, have an owner: asked in this way, the index of leases serves.
         expired = and_(model.lease_owner.is_not(None), or_(model.lease_expires_at < now, restored))
         with sessions() as session:
-            stale = session.scalars(select(model.id).where(expired).order_by(model.lease_expires_at).limit(limit)).all()
+            stale = session.scalars(select(model.id).where(expired).order_by(model.lease_expires_at).limit(100)).all()
         for work_id in stale:
             with sessions.begin() as session:
                 work = lock(session, cast("type[Job]", model), work_id, expired, skip_locked=True)

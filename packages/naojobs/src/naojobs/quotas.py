@@ -136,10 +136,10 @@ def wait_for_turn(session: Session, owner: str | None, limits: Limits, *quotas: 
         limits: quotas without a limit are left out.
         quotas: all that the transaction will require.
     """
-    for quota in sorted(limits.keys() & set(quotas), key=list(Quota).index):
-        if owner is not None:
-            key = func.hashtextextended(f"quota {quota.name} {owner}", 0)
-            session.execute(select(func.pg_advisory_xact_lock(key)))
+    limited = [quota for quota in Quota if quota in quotas and quota in limits]  # one order prevents deadlocks, too
+    if owner is not None and limited:
+        keys = (func.hashtextextended(f"quota {quota.name} {owner}", 0) for quota in limited)
+        session.execute(select(*map(func.pg_advisory_xact_lock, keys)))
 
 
 def require_room(session: Session, owner: str, limits: Limits, *quotas: Quota, more: int = 1) -> None:
@@ -153,7 +153,7 @@ def require_room(session: Session, owner: str, limits: Limits, *quotas: Quota, m
         if (most := limits.get(quota)) is None:
             continue
         kind = quota.value
-        count = sum(session.scalar(query) or 0 for query in kind.amounts(owner))
+        count = session.scalar(select(sum(query.scalar_subquery() for query in kind.amounts(owner)))) or 0
         if count + more > most:
             adding = f" and would get {more:,} more" if more > 1 else ""
             raise QuotaError(f"{owner} has {count:,} {kind.what}{adding}, of {most:,} that are allowed; {kind.remedy}")

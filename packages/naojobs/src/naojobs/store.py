@@ -316,16 +316,6 @@ class ArtifactStore:
                     )
         return manifest
 
-    def exists(self, key: str) -> bool:
-        """Return whether `key` has a file. Raises StoreError."""
-        check_key(key)
-        try:
-            with _store_errors(f"head {key}"):
-                obstore.head(self._store, key)
-        except MissingArtifactError:
-            return False
-        return True
-
     def list(self, prefix: str) -> list[str]:
         """Return the keys of all files below `prefix`, sorted. Raises StoreError."""
         return [file.key for file in self.files(prefix)]
@@ -371,13 +361,13 @@ class ArtifactStore:
                     count += 1
         return count
 
-    def url_for(self, key: str, expires_in: timedelta = timedelta(minutes=15)) -> str | None:
-        """Return a signed URL from which anybody may read `key` for a while, or none for a local store."""
+    def url_for(self, key: str) -> str | None:
+        """Return a signed URL from which anybody may read `key` for 15 minutes, or none for a local store."""
         check_key(key)
         if not isinstance(self._store, S3Store):
             return None
         with _store_errors(f"sign {key}"):
-            return obstore.sign(self._store, "GET", key, expires_in)
+            return obstore.sign(self._store, "GET", key, timedelta(minutes=15))
 
     def check(self) -> None:
         """Write, read and delete one small file; any number of processes may do so at once. Raises StoreError."""

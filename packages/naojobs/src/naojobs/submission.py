@@ -444,7 +444,6 @@ def submit_evaluation(
     request: EvaluationRequest,
     *,
     idempotency_key: str | None = None,
-    max_open: int = MAX_OPEN_EVALUATIONS,
     limits: Limits = NO_LIMITS,
 ) -> tuple[Evaluation, bool]:
     """Queue an evaluation of a job's checkpoint; return it and whether it is new.
@@ -467,7 +466,7 @@ def submit_evaluation(
         checkpoint = _checkpoint_of(session, job_id, request.checkpoint_id)
         is_open = (Evaluation.job_id == job_id, Evaluation.state.in_(OPEN))
         waiting = session.scalar(select(func.count()).select_from(Evaluation).where(*is_open))
-        if (waiting or 0) >= max_open:
+        if (waiting or 0) >= MAX_OPEN_EVALUATIONS:
             raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some finish, or cancel some")
         require_room(session, job.owner, limits, Quota.EVALUATIONS, *SPACE)
         spec = request.spec or EvaluationSpec()

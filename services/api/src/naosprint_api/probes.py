@@ -34,16 +34,14 @@ class Probes:
     At most one probe of a service runs at a time: one that does not answer blocks one thread.
     """
 
-    def __init__(self, probes: Sequence[Probe], *, deadline_s: float = DEADLINE_S, keep_s: float = KEEP_S) -> None:
+    def __init__(self, probes: Sequence[Probe]) -> None:
         self._probes = [(probe, anyio.CapacityLimiter(1)) for probe in probes]
-        self._deadline_s = deadline_s
-        self._keep_s = keep_s
         self._task: asyncio.Task[Mapping[str, bool]] | None = None
         self._latest: tuple[float, Mapping[str, bool]] | None = None
 
     async def results(self) -> Mapping[str, bool]:
         """Return by name whether each service works."""
-        if self._latest is not None and time.monotonic() - self._latest[0] < self._keep_s:
+        if self._latest is not None and time.monotonic() - self._latest[0] < KEEP_S:
             return self._latest[1]
         if self._task is None:
             self._task = asyncio.create_task(self._ask())
@@ -55,7 +53,7 @@ class Probes:
 
         async def ask(probe: Probe, limiter: anyio.CapacityLimiter) -> None:
             # An abandoned thread stays in use until the service answers.
-            with anyio.move_on_after(self._deadline_s):
+            with anyio.move_on_after(DEADLINE_S):
                 try:
                     good.update(await anyio.to_thread.run_sync(probe.check, limiter=limiter, abandon_on_cancel=True))
                 except Exception:

@@ -93,6 +93,9 @@ def list_jobs(sessions: Sessions, wanted: JobFilter, *, limit: int, before: str 
 PAGE = 100
 """Changed jobs that are read at a time."""
 
+MOST_NEWS = 500
+"""Most metrics, log lines and events of a job that are read at a time, of each."""
+
 REPLAYED = 1_000
 """Most changed jobs that a returning follower is sent; one that has missed more reads the list again."""
 
@@ -413,9 +416,8 @@ def news_of(
     kinds: frozenset[str],
     *,
     workers: Sequence[Worker],
-    limit: int = 500,
 ) -> News:
-    """Return the job and what is new about it, at most `limit` of each kind.
+    """Return the job and what is new about it, at most `MOST_NEWS` of each kind.
 
     The job is read first: if it has ended, everything before its end is in the rows read after it.
     """
@@ -426,25 +428,13 @@ def news_of(
         news.waiting_reason = waiting_reasons(session, [news.job], workers).get(job_id)
         news.result = results_of(session, [news.job]).get(job_id)
         if "metrics" in kinds:
-            news.metrics = list(
-                session.scalars(
-                    select(MetricsRecord)
-                    .where(MetricsRecord.job_id == job_id, MetricsRecord.seq > seen.metrics)
-                    .order_by(MetricsRecord.seq)
-                    .limit(limit),
-                ),
-            )
+            rows = select(MetricsRecord).where(MetricsRecord.job_id == job_id, MetricsRecord.seq > seen.metrics)
+            news.metrics = list(session.scalars(rows.order_by(MetricsRecord.seq).limit(MOST_NEWS)))
         if "log" in kinds:
-            news.logs = list(
-                session.scalars(
-                    select(Log).where(Log.job_id == job_id, Log.id > seen.logs).order_by(Log.id).limit(limit)
-                ),
-            )
+            lines = select(Log).where(Log.job_id == job_id, Log.id > seen.logs)
+            news.logs = list(session.scalars(lines.order_by(Log.id).limit(MOST_NEWS)))
         if "event" in kinds:
-            news.events = list(
-                session.scalars(
-                    select(Event).where(Event.job_id == job_id, Event.id > seen.events).order_by(Event.id).limit(limit),
-                ),
-            )
-    news.more = limit in (len(news.metrics), len(news.logs), len(news.events))
+            events = select(Event).where(Event.job_id == job_id, Event.id > seen.events)
+            news.events = list(session.scalars(events.order_by(Event.id).limit(MOST_NEWS)))
+    news.more = MOST_NEWS in (len(news.metrics), len(news.logs), len(news.events))
     return news

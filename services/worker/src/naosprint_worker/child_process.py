@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -164,16 +164,14 @@ class Services:
                 outcomes.lose(self.sessions, lease, f"worker {lease.owner} died")
 
 
-def run_child(
-    work: Callable[[Services], Outcome], argv: Sequence[str] | None = None, *, oom_score: int = TRAINER_OOM_SCORE
-) -> int:
+def run_child(work: Callable[[Services], Outcome], *, oom_score: int = TRAINER_OOM_SCORE) -> int:
     """Do ``work`` protected and connected; return the exit status and leave an `Outcome` in the working folder.
 
     When memory runs out, the kernel ends processes of the highest ``oom_score`` first, then the largest.
     """
     parser = argparse.ArgumentParser(description="Child process of a naosprint worker; started by the worker only.")
     parser.add_argument("--workdir", type=Path, required=True, help="folder with assignment.json")
-    workdir: Path = parser.parse_args(argv).workdir
+    workdir: Path = parser.parse_args().workdir
     settings = WorkerSettings()  # type: ignore[call-arg]  # the environment fills it
     faulthandler.register(TRACEBACK_SIGNAL)
     stop = StopRequest()

@@ -14,7 +14,7 @@ from naojobs.states import WorkState
 from naojobs.store import StoreError, StoreManifest, evaluation_key, new_nonce
 from naosprint.threads import quiet_openmp
 
-from naosprint_worker.assignment import EvaluationAssignment
+from naosprint_worker.assignment import read_assignment
 from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
@@ -25,7 +25,7 @@ from naosprint_worker.retry import retry
 
 def work(services: Services) -> Outcome:
     """Run the assignment in the working folder."""
-    claim = EvaluationAssignment.read(services.workdir).claim
+    claim = read_assignment(EvaluationClaim, services.workdir)
     try:
         return _evaluate(services, claim)
     except StopRequestedError:

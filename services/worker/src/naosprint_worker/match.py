@@ -30,7 +30,7 @@ from naosprint.matches.sequential import Gate, Verdict
 from naosprint.matches.teams import Team, read_team, write_example
 from naosprint.threads import quiet_openmp
 
-from naosprint_worker.assignment import MatchAssignment
+from naosprint_worker.assignment import read_assignment
 from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.outcome import Outcome, TrainerExitCode
@@ -39,7 +39,7 @@ from naosprint_worker.retry import retry
 
 def work(services: Services) -> Outcome:
     """Run the assignment in the working folder."""
-    claim = MatchAssignment.read(services.workdir).claim
+    claim = read_assignment(MatchClaim, services.workdir)
     try:
         _Match(services, claim).play()
     except (StopRequestedError, MatchStoppedError):

@@ -56,11 +56,10 @@ class MemoryBudget:
         self._lock = threading.Lock()
 
     @classmethod
-    def of_worker(cls, settings: WorkerSettings, cgroup: Path = Path("/sys/fs/cgroup")) -> MemoryBudget:
+    def of_worker(cls, settings: WorkerSettings) -> MemoryBudget:
         """Return the budget that the settings name, else one for the limit of the container."""
-        limit = None if settings.worker_memory_total_mb is None else float(settings.worker_memory_total_mb * MIB)
-        if limit is None:
-            limit = _USED_SHARE * container_limit(cgroup)
+        total_mb = settings.worker_memory_total_mb
+        limit = _USED_SHARE * container_limit(Path("/sys/fs/cgroup")) if total_mb is None else float(total_mb * MIB)
         folder = settings.worker_dir if math.isfinite(limit) and _is_tmpfs(settings.worker_dir) else None
         return cls(limit, folder)
 

@@ -94,12 +94,12 @@ def public(text: str) -> str:
     return _PATH.sub(r"\1…/\2", text)
 
 
-def last_lines(path: Path, *, lines: int = 5, limit_bytes: int = 8192) -> str:
-    """Return the last non-empty lines of a text file, reading at most ``limit_bytes``; empty where there is none."""
+def last_lines(path: Path, *, lines: int = 5) -> str:
+    """Return the last non-empty lines of a text file, reading at most 8 KiB; empty where there is none."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - limit_bytes))
+            file.seek(max(0, size - 8192))
             text = file.read().decode("utf-8", errors="replace")
     except OSError:
         return ""

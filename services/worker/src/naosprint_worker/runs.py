@@ -14,14 +14,14 @@ from typing import TypeVar
 
 from naojobs import leases, matches, outcomes, records
 from naojobs.errors import ConflictError, LeaseLostError
-from naojobs.leases import Claim, EvaluationClaim, JobClaim
+from naojobs.leases import Claim, EvaluationClaim
 from naojobs.models import WorkKind
 from naojobs.records import LogLine
 from naojobs.states import WorkState
 from naojobs.usage import add_usage
 from naosim.launchers import LABELS_VARIABLE
 
-from naosprint_worker.assignment import EvaluationAssignment, MatchAssignment, TrainingAssignment
+from naosprint_worker.assignment import write_assignment
 from naosprint_worker.child import TrainingProcess
 from naosprint_worker.context import WorkerContext
 from naosprint_worker.database import DATABASE_ERRORS
@@ -110,7 +110,7 @@ class Run:
         try:
             try:
                 self._workdir.mkdir(parents=True)
-                self._assignment().write(self._workdir)
+                write_assignment(self._claim, self._workdir)
                 with self._context.memory.share(self.kind) as self._share:
                     ending = self._supervisor.run()
             except OSError as error:
@@ -123,13 +123,6 @@ class Run:
             logger.warning("%s; leaving it to its new owner", error)
         finally:
             shutil.rmtree(self._workdir, ignore_errors=True)
-
-    def _assignment(self) -> TrainingAssignment | EvaluationAssignment | MatchAssignment:
-        if isinstance(self._claim, JobClaim):
-            return TrainingAssignment.from_claim(self._claim)
-        if isinstance(self._claim, EvaluationClaim):
-            return EvaluationAssignment(claim=self._claim)
-        return MatchAssignment(claim=self._claim)
 
     def _start(self, on_exit: Callable[[], None]) -> TrainingProcess:
         settings = self._context.settings

@@ -177,6 +177,8 @@ class _Pass:
 
     def run(self) -> tuple[dict[str, str], bool]:
         """Return the jobs to prune with the reasons, and whether jobs were queued."""
+        from optuna.trial import TrialState as Told
+
         with _quiet():
             self._give_back()
             frozen = {trial.number: trial for trial in self._study.get_trials(deepcopy=False)}
@@ -188,6 +190,8 @@ class _Pass:
                     ended = ended or row.state is not TrialState.RUNNING
                     if reason and row.job_id is not None:
                         behind[row.job_id] = reason
+                elif not frozen[row.number].state.is_finished():  # of a study that was ended, and then extended
+                    self._study.tell(row.number, state=Told.FAIL, skip_if_finished=True)
             if ended:
                 self._row.importance = self._importance()
             queued = not self._finish() and self._start(frozen)

@@ -21,6 +21,7 @@ from naojobs import outcomes, records
 from naojobs.checkpoints import CheckpointRef, checkpoints_of
 from naojobs.errors import ConflictError
 from naojobs.ids import same_id
+from naojobs.leases import JobClaim
 from naojobs.states import WorkState
 from naojobs.store import (
     CorruptArtifactError,
@@ -33,7 +34,7 @@ from naojobs.store import (
 from naospec import EvaluationSpec
 from naosprint.threads import quiet_openmp
 
-from naosprint_worker.assignment import TrainingAssignment
+from naosprint_worker.assignment import read_assignment
 from naosprint_worker.child_process import CheckpointsUnusableError, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
@@ -70,17 +71,17 @@ class _Start:
 class Attempt:
     """One attempt at a job, from the last usable checkpoint to the stored evaluation."""
 
-    def __init__(self, services: Services, assignment: TrainingAssignment) -> None:
+    def __init__(self, services: Services, claim: JobClaim) -> None:
         """Start recording; nothing else happens yet."""
         self._services = services
-        self._assignment = assignment
-        self._lease = assignment.lease
+        self._claim = claim
+        self._lease = claim.lease
         self._resumed_from: str | None = None
         """The recorded checkpoint that was resumed from, and the steps of all by id."""
         self._steps: dict[str, int] = {}
-        self._sink = JobSink(services.sessions, services.store, assignment.lease, retention=services.settings.retention)
+        self._sink = JobSink(services.sessions, services.store, claim.lease, retention=services.settings.retention)
         settings = services.settings
-        self._spool = Spool.of_attempt(settings.worker_dir, assignment.lease)
+        self._spool = Spool.of_attempt(settings.worker_dir, claim.lease)
         self._recorder = Recorder(
             self._sink,
             spool=self._spool,
@@ -120,7 +121,7 @@ class Attempt:
 
     def _train(self, refused: Mapping[str, Exception]) -> Outcome:
         """Train from the newest checkpoint that is not ``refused``, and evaluate."""
-        services, spec, lease = self._services, self._assignment.spec, self._lease
+        services, spec, lease = self._services, self._claim.spec, self._lease
         with services.stop.interruptible():
             train = naosprint.train  # loads PyTorch, which takes a while: still part of starting
             start = self._fetch_resume(refused)
@@ -156,7 +157,7 @@ class Attempt:
         with services.stop.interruptible():
             self._recorder.flush()
         self._database(self._sink.prune, "removing old checkpoints")
-        evaluation = self._assignment.evaluation
+        evaluation = self._claim.evaluation
         if evaluation is not None:
             checkpoint_id = self._sink.checkpoint_id(result.steps) or resumed_from
             if checkpoint_id is None:
@@ -191,7 +192,7 @@ class Attempt:
         if self._database(lambda: records.has_evaluation(services.sessions, identifier), "looking for the evaluation"):
             return
         folder = services.workdir / "evaluation"
-        threads = self._assignment.spec.runtime.simulator_threads
+        threads = self._claim.spec.runtime.simulator_threads
         warn = partial(self._recorder.log, "warning")
         summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, services=services, warn=warn)
         add_report(services, folder, lease.job_id, trained.steps, warn=warn)
@@ -300,7 +301,7 @@ class Attempt:
         return taken
 
     def _fetch_initial_policy(self) -> Path | None:
-        reference, bundled = self._assignment.initial_policy, self._assignment.bundled_policy
+        reference, bundled = self._claim.initial_policy, self._claim.bundled_policy
         if bundled is not None:
             message = f"starts from the bundled policy {bundled}"
             self._recorder.event("initial_policy", message, {"policy": bundled})
@@ -348,7 +349,7 @@ class Attempt:
 
 def work(services: Services) -> Outcome:
     """Run the assignment in the working folder."""
-    return Attempt(services, TrainingAssignment.read(services.workdir)).run()
+    return Attempt(services, read_assignment(JobClaim, services.workdir)).run()
 
 
 if __name__ == "__main__":

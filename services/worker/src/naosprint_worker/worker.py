@@ -161,8 +161,8 @@ class WorkLoop:
             run = Run(self._context, claim)
             thread = threading.Thread(target=self._run, args=(run,), name=claim.lease.id)
             with self._changed:
+                thread.start()  # first: a run without a thread would keep its slot
                 self._runs[run] = thread
-            thread.start()
             if self._stopping.is_set():  # it was set while the work was claimed
                 run.shut_down()
 

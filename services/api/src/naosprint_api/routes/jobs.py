@@ -77,11 +77,9 @@ def job_filter(
         if owner is not None and owner != principal.owner:
             raise NotFoundError(f"no jobs of {owner} that this token may see; omit `owner`")
         owner = principal.owner
-    # A tag that no job can have matches nothing, without an error.
-    tags = [item for item in tag if "\x00" not in item]
     return queries.JobFilter(
         states=state,
-        tags=tags,
+        tags=tag,
         owner=owner,
         group=group,
         parent=parent,

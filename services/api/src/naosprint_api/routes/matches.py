@@ -95,8 +95,7 @@ def list_matches(
 ) -> MatchPage:
     """List matches, newest first."""
     wanted = _owner(principal, owner)
-    tags = [item for item in tag if "\x00" not in item]
-    rows = queries.list_matches(service.reads, owner=wanted, tags=tags, limit=limit + 1, before=cursor)
+    rows = queries.list_matches(service.reads, owner=wanted, tags=tag, limit=limit + 1, before=cursor)
     return MatchPage.of(service.show_matches(rows), limit)
 
 

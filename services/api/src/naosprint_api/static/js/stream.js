@@ -34,6 +34,14 @@ const HIDDEN_MS = 30_000; // a background tab disconnects: browsers allow six co
 const SILENCE_MS = 45_000; // the service sends a comment at least every 15 s
 const links = new Set();
 const watchers = new Set();
+/** Whether the browser only keeps this page for its Back button, where a stream would hold a connection. */
+let left = false;
+addEventListener("pagehide", () => {
+  left = true;
+});
+addEventListener("pageshow", () => {
+  left = false;
+});
 
 /** Call `listener("idle" | "live" | "connecting" | "offline")` whenever the connection as a whole changes. */
 export function onConnection(listener) {
@@ -82,15 +90,16 @@ export async function follow(path, { signal, lastId, onEvent, onError }) {
       let watchdog;
       let rest;
       let resting = false;
+      const retire = () => {
+        resting = true;
+        stop();
+      };
       const onVisibility = () => {
         clearTimeout(rest);
-        if (document.hidden)
-          rest = setTimeout(() => {
-            resting = true;
-            stop();
-          }, HIDDEN_MS);
+        if (document.hidden) rest = setTimeout(retire, HIDDEN_MS);
       };
       document.addEventListener("visibilitychange", onVisibility);
+      addEventListener("pagehide", retire);
       try {
         const headers = { Accept: "text/event-stream" };
         if (lastId !== undefined) headers["Last-Event-ID"] = lastId;
@@ -134,6 +143,7 @@ export async function follow(path, { signal, lastId, onEvent, onError }) {
         clearTimeout(watchdog);
         clearTimeout(rest);
         document.removeEventListener("visibilitychange", onVisibility);
+        removeEventListener("pagehide", retire);
         signal.removeEventListener("abort", stop);
       }
       await pause(Math.min(15_000, 500 * 2 ** Math.min(failures, 5)) * (0.75 + Math.random() / 2), signal);
@@ -145,14 +155,17 @@ export async function follow(path, { signal, lastId, onEvent, onError }) {
 }
 
 function untilVisible(signal) {
-  if (!document.hidden) return undefined;
+  if (!document.hidden && !left) return undefined;
   return new Promise((resolve) => {
     const done = () => {
+      if ((document.hidden || left) && !signal.aborted) return;
       document.removeEventListener("visibilitychange", done);
+      removeEventListener("pageshow", done);
       signal.removeEventListener("abort", done);
       resolve();
     };
     document.addEventListener("visibilitychange", done);
+    addEventListener("pageshow", done);
     signal.addEventListener("abort", done);
   });
 }

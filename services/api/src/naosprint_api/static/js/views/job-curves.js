@@ -156,7 +156,7 @@ export class CurvesTab {
 
   emptyText() {
     const { state } = this.store.job;
-    if (state === "queued") return "Waiting for a worker. Metrics appear after the first update.";
+    if (state === "queued") return "The job waits in the queue. Metrics appear after the first update.";
     if (isEnded(state)) return "This job ended before its first update.";
     return "Metrics appear after the first update.";
   }

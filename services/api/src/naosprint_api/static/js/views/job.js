@@ -147,10 +147,20 @@ class JobStore extends EventTarget {
         this.lastId = id ?? this.lastId;
         this.receive(type, data);
       },
-      onError: (error) => toast(error.message, "error"),
+      onError: (error) => (error.status === 404 ? this.notify("gone") : toast(error.message, "error")),
     }).then(() => {
       this.following = false;
     });
+  }
+
+  /** Read the job again: one that has ended has no stream, though it can be edited, retried and deleted elsewhere. */
+  async refresh() {
+    try {
+      this.setJob(await this.get(this.path));
+      await this.loadEvaluations();
+    } catch (error) {
+      if (error.status === 404) this.notify("gone");
+    }
   }
 
   receive(type, data) {
@@ -210,6 +220,7 @@ class JobView {
     this.store.on("evaluations", () => this.paintTabs());
     this.timer = setInterval(() => this.paintStats(), 1000);
     this.paint();
+    addEventListener("focus", () => this.store.following || this.store.refresh(), { signal: this.signal });
     this.store.on("gone", () => {
       toast(`${this.store.job.name} was deleted.`);
       this.go("/");
@@ -316,7 +327,9 @@ class JobView {
               { style: { "margin-top": "1rem" }, "data-part": "waiting" },
               notice(
                 "warn",
-                "Waiting for a worker.",
+                job.not_before && new Date(job.not_before) > Date.now()
+                  ? "Waiting for its time."
+                  : "Waiting for a worker.",
                 `${job.waiting_reason[0].toUpperCase()}${job.waiting_reason.slice(1)}.`,
               ),
             )
@@ -410,7 +423,7 @@ class JobView {
       duration(worked(job, this.store.events)),
       null,
       job.state === "queued"
-        ? "waiting for a worker"
+        ? "in the queue"
         : left !== null
           ? `${duration(left)} left`
           : job.finished_at
@@ -481,8 +494,8 @@ class JobView {
 
   async act(name) {
     const answer = await act(this.store.job, name);
-    if (!answer) return;
-    if (name === "delete") this.go("/");
+    if (!answer) await this.store.refresh();
+    else if (name === "delete") this.go("/");
     else this.store.setJob(answer);
   }
 }
