@@ -283,8 +283,8 @@ def test_quotas_and_names_are_waited_for_before_rows_are_locked(sessions: Sessio
     seen: list[str] = []
 
     def note(_connection: object, _cursor: object, statement: str, parameters: Any, *_: object) -> None:
-        if "pg_advisory_xact_lock" in statement and (held := re.search("quota [A-Z_]+|name:", str(parameters))):
-            seen.append(held[0])
+        if "pg_advisory_xact_lock" in statement:
+            seen.extend(re.findall("quota [A-Z_]+|name:", str(parameters)))
         elif re.search("FOR (NO KEY )?(UPDATE|KEY SHARE|SHARE)|^INSERT|^UPDATE", statement):
             seen.append("row")
 
