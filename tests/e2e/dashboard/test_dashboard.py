@@ -779,7 +779,7 @@ def test_the_bundled_policies_are_listed_with_their_results(browser: Browser, to
     browser.find("[data-filter=robot]").send_keys("Booster K1")
     browser.until(lambda: names() == ["k1-run"])
     browser.open("/policies?robot=t1&skill=Kick")
-    browser.until(lambda: names() == ["t1-kick", "t1-kick-steady"], message="the address does not filter")
+    browser.until(lambda: names() == ["t1-kick", "t1-kick-firm"], message="the address does not filter")
     browser.open("/policies")
     browser.find("button[aria-label='Watch t1-kick']").click()
     browser.find("dialog .stage canvas")

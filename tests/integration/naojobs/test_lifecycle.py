@@ -11,17 +11,18 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from naojobs import backups, leases, outcomes, records, requests, submission
+from naojobs import backups, checkpoints, leases, outcomes, records, requests, submission
 from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.leases import JobClaim
-from naojobs.models import Evaluation, Event, Job, LeaseClock, MetricsRecord
+from naojobs.matches import MatchRequest, submit_match
+from naojobs.models import Evaluation, Event, Job, LeaseClock, Log, Match, MatchEvent, MetricsRecord
 from naojobs.quotas import Quota
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec, plugins
 from sqlalchemy import event, func, select, text, update
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -399,6 +400,88 @@ def test_two_reapers_take_a_stale_job_once(sessions: Sessions, submit: Callable[
         reaped = [job_id for part in pool.map(reap, range(4)) for job_id in part]
     assert sorted(reaped) == sorted(job.id for job in jobs)
     assert {get(sessions, job.id).failures for job in jobs} == {1}
+
+
+def play(sessions: Sessions, **fields: Any) -> Match:
+    wanted = MatchRequest(teams=("example", "example"), games=1, players=1, half_s=1.0, **fields)
+    return submit_match(sessions, wanted, owner="alice")[0]
+
+
+def test_a_row_that_cannot_be_requeued_keeps_no_other_from_it(
+    sessions: Sessions, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The row is locked, or a webhook of its owner is, for longer than a statement waits."""
+    refused, lost = (play(sessions, priority=priority).id for priority in (9, 5))
+    for match_id in (refused, lost):
+        assert claim_work(sessions, Match, match_id, "w") is not None
+    with sessions.begin() as session:
+        session.execute(text("UPDATE matches SET lease_expires_at = 'epoch' WHERE id = :id"), {"id": refused})
+        session.execute(text("UPDATE matches SET lease_expires_at = '2000-01-01' WHERE id = :id"), {"id": lost})
+        refuse = "CREATE FUNCTION refuse() RETURNS trigger AS 'BEGIN RAISE lock_not_available; END' LANGUAGE plpgsql"
+        session.execute(text(refuse))
+        when = "BEFORE UPDATE ON matches FOR EACH ROW WHEN (NEW.priority = 9) EXECUTE FUNCTION refuse()"
+        session.execute(text(f"CREATE TRIGGER refuse {when}"))
+    try:
+        assert [item.id for item in outcomes.requeue_stale(sessions)] == [lost]
+        assert f"{refused} is not requeued" in caplog.text
+    finally:
+        with sessions.begin() as session:
+            session.execute(text("DROP FUNCTION refuse CASCADE"))
+    assert [item.id for item in outcomes.requeue_stale(sessions)] == [refused]
+    for match_id in (refused, lost):
+        requests.request_cancel(sessions, Match, match_id)
+
+
+def test_a_database_that_does_not_answer_ends_the_search_for_lost_work(
+    sessions: Sessions, submit: Callable[..., Job]
+) -> None:
+    """It would be waited for with each row."""
+    jobs = [submit() for _ in range(3)]
+    for job in jobs:
+        assert claim_work(sessions, Job, job.id, "w") is not None
+        expire_lease(sessions, job.id)
+    with sessions.begin() as session:
+        cut = "BEGIN PERFORM pg_terminate_backend(pg_backend_pid()); RETURN NEW; END"
+        session.execute(text(f"CREATE FUNCTION cut() RETURNS trigger AS '{cut}' LANGUAGE plpgsql"))
+        session.execute(text("CREATE TRIGGER cut BEFORE UPDATE ON jobs FOR EACH ROW EXECUTE FUNCTION cut()"))
+    try:
+        with pytest.raises(OperationalError):
+            outcomes.requeue_stale(sessions)
+    finally:
+        with sessions.begin() as session:
+            session.execute(text("DROP FUNCTION cut CASCADE"))
+    assert {item.id for item in outcomes.requeue_stale(sessions)} >= {job.id for job in jobs}
+
+
+def test_a_match_that_cannot_be_read_fails_and_holds_nothing_up(sessions: Sessions, submit: Callable[..., Job]) -> None:
+    match = play(sessions, priority=9)
+    with sessions.begin() as session:
+        session.execute(text("UPDATE matches SET spec = '{}' WHERE id = :id"), {"id": match.id})
+    with sessions() as session:
+        assert match.id not in checkpoints.in_use(session).values()
+    assert claim_work(sessions, Match, match.id, "w") is None
+    with sessions() as session:
+        kept = session.get_one(Match, match.id)
+    assert kept.state is WorkState.FAILED
+    assert "does not fit this version" in str(kept.error)
+
+
+def test_the_last_output_of_an_attempt_is_written_with_its_end(sessions: Sessions, running: JobClaim) -> None:
+    """Settled again after an error of the database it is not written again, whether or not that was committed."""
+    match = play(sessions)
+    claim = claim_work(sessions, Match, match.id, "w")
+    assert claim is not None
+    for lease in (running.lease, claim.lease):
+        assert outcomes.lose(sessions, lease, "it ended", output="bye") is WorkState.QUEUED
+        with pytest.raises(LeaseLostError):
+            outcomes.lose(sessions, lease, "it ended", output="bye")
+    with sessions() as session:
+        job_lines = session.scalars(select(Log.message).where(Log.job_id == running.lease.id)).all()
+        lines = session.scalars(select(MatchEvent).where(MatchEvent.match_id == match.id)).all()
+        assert session.get_one(Match, match.id).row_count == len(lines)
+    assert job_lines == ["bye"]
+    assert [line.message for line in lines if line.kind == "error"] == ["bye"]
+    requests.request_cancel(sessions, Match, match.id)
 
 
 def test_pausing_and_resuming_costs_no_attempt(sessions: Sessions, submit: Callable[..., Job]) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from naojobs import leases, outcomes, records, registry, requests, submission
 from naojobs.capabilities import Capabilities, live_workers
+from naojobs.changes import MAX_LOG_CHARS
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.health import has_live_worker
 from naojobs.leases import Lease
@@ -75,7 +76,7 @@ def test_logs_keep_their_order_and_any_text(sessions: Sessions, lease: Lease) ->
     found = rows(sessions, Log, lease.job_id)
     assert [row.message for row in found[:50]] == [line.message for line in lines[:50]]
     assert found[50].message == "zero \N{REPLACEMENT CHARACTER} byte"
-    assert len(found[51].message) == records.MAX_LOG_CHARS
+    assert len(found[51].message) == MAX_LOG_CHARS
     assert {row.level for row in found} == {"info", "error"}
 
 

@@ -17,7 +17,7 @@ from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Evaluation, Job, ServiceKey
 from naojobs.retention import ForeignStoreError, Retention, adopt, find_orphans, prune_checkpoints, sweep
 from naojobs.states import WorkState
-from naojobs.store import OWNER, ArtifactStore, checkpoint_key, evaluation_key
+from naojobs.store import OWNER, ArtifactStore, StoreError, checkpoint_key, evaluation_key
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec, TrainingSpec
 from naospec.flat import nest
@@ -216,6 +216,26 @@ def test_files_that_no_row_refers_to_are_swept(
     assert {key for key in kept if lease.job_id in key} == {
         f"{checkpoint_key(lease.job_id, 300, 1)}/{name}" for name in ("manifest.json", "policy.npz")
     }
+
+
+def test_a_file_that_cannot_be_deleted_keeps_no_other(
+    sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str], used: None
+) -> None:
+    save(300)
+    assert store.local_root is not None
+    foreign = [store.local_root / "jobs/job_0/checkpoints" / name for name in (".nfs0001", "notes (1).txt")]
+    foreign[0].parent.mkdir(parents=True)
+    for path in foreign:
+        path.write_text("of no artifact")
+    store.put_bytes(f"{LOST}/a", b"a")
+    for prefix in ("jobs/job_0", LOST):
+        grow_old(store, prefix)
+    with pytest.raises(StoreError, match=r"job_0/checkpoints/\.nfs0001 cannot be deleted: key .*; nor can 1 others"):
+        sweep(sessions, store)
+    assert all(path.exists() for path in foreign)
+    assert not store.list(LOST)
+    foreign[1].unlink()
+    foreign[0].unlink()
 
 
 def test_a_running_evaluation_keeps_its_files(

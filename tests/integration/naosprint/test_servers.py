@@ -257,7 +257,7 @@ def test_training_survives_a_server_that_is_killed_and_is_evaluated_on_servers(
     evaluation = evaluate(result.checkpoint, spec, progress=progress)
     assert evaluation.summary["server_failures"] == 1
     (told,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
-    assert "is run again, its server was lost" in told
+    assert "is run again, its robot was lost" in told
     assert evaluation.summary["episodes"] == 4
     assert len(evaluation.trajectories.x) == 4
     assert np.abs(evaluation.trajectories.x[:, 0] + 14.0).max() < 0.1

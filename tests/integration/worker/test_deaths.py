@@ -15,12 +15,12 @@ from pathlib import Path
 import psutil
 import pytest
 from naojobs import registry, requests
-from naojobs.models import Evaluation, Job
+from naojobs.models import Evaluation, Job, Log
 from naojobs.states import WorkState
 from naospec import EvaluationSpec
 from naospec.processes import ProcessIdentity
 from naosprint_worker.orphans import FOLDER_VARIABLE, OWNER_VARIABLE
-from sqlalchemy import select, update
+from sqlalchemy import select, text, update
 from sqlalchemy.exc import IntegrityError
 
 from tests.integration.writes import request_evaluation
@@ -289,6 +289,25 @@ def test_an_error_with_text_of_any_kind_is_recorded_once_and_shows_no_internals(
         == "ValueError: no \N{REPLACEMENT CHARACTER} and no \N{REPLACEMENT CHARACTER}: …/learner.npz of (address)"
     )
     assert job.attempt == 1
+
+
+def test_a_database_that_fails_while_an_attempt_is_settled_costs_no_second_line_of_the_log(
+    service: Service, tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(ENDS_THE_PROCESS.format(end="raise ValueError(7)"), encoding="utf-8")
+    with service.sessions.begin() as session:
+        fail = "BEGIN IF nextval(''tries'') <= 2 THEN RAISE serialization_failure; END IF; RETURN NEW; END"
+        session.execute(text("CREATE SEQUENCE tries"))
+        session.execute(text(f"CREATE FUNCTION fail() RETURNS trigger SECURITY DEFINER LANGUAGE plpgsql AS '{fail}'"))
+        when = "BEFORE UPDATE ON jobs FOR EACH ROW WHEN (NEW.state = 'failed') EXECUTE FUNCTION fail()"
+        session.execute(text(f"CREATE TRIGGER fail {when}"))
+    service.start_worker(PYTHONPATH=str(tmp_path), END_AT="learner.npz")
+    job_id = service.submit(evaluate=False)
+    service.until_state(job_id, WorkState.FAILED)
+    with service.sessions() as session:
+        assert session.scalar(text("SELECT last_value FROM tries")) == 3
+        lines = session.scalars(select(Log.message).where(Log.job_id == job_id, Log.level == "error")).all()
+    assert len([line for line in lines if "ValueError: 7" in line]) == 1
 
 
 def test_an_evaluator_that_is_ended_has_not_evaluated(service: Service, tmp_path: Path) -> None:

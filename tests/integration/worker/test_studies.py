@@ -14,8 +14,9 @@ import httpx
 import psycopg
 import pytest
 from naojobs import leases, outcomes, requests, studies
-from naojobs.errors import ConflictError, InvalidError
+from naojobs.errors import ConflictError, InvalidError, QuotaError
 from naojobs.models import Evaluation, Job, Study, StudyState, Trial, TrialState
+from naojobs.quotas import Quota
 from naojobs.roles import Role
 from naojobs.states import ENDED, WorkState
 from naojobs.studies import StudyRequest
@@ -406,6 +407,27 @@ def test_what_optuna_holds_of_a_study_that_begins_meanwhile_stays(
     assert [study.study_name for study in listed()] == begun
 
 
+def test_two_workers_may_delete_what_optuna_holds_at_once(
+    service: Service, conductor: Conductor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other worker deletes the first study after this one has listed both."""
+    for study in [start(service) for _ in range(2)]:
+        conductor.advance(study.id)
+        studies.cancel_study(service.sessions, study.id)
+        studies.delete_study(service.sessions, study.id)
+    storage, other = conductor._optuna(), Conductor(service.sessions, service.settings.sqlalchemy_url)._optuna()
+    listed = storage.get_all_studies
+
+    def listed_before() -> Any:
+        found = listed()
+        other.delete_study(found[0]._study_id)
+        return found
+
+    monkeypatch.setattr(storage, "get_all_studies", listed_before)
+    conductor.forget_deleted()
+    assert listed() == []
+
+
 @pytest.mark.parametrize(
     ("search", "field"),
     [
@@ -486,6 +508,16 @@ def test_a_finished_study_that_is_extended_learns_from_its_first_trials(service:
     assert study.state is StudyState.FINISHED
     assert [trial.values for trial in rows] == [[0.0], [1.0], [2.0], [3.0]]
     assert len(told(service, study.id)) == 4
+
+
+@pytest.mark.parametrize("quota", [Quota.JOBS, Quota.BYTES, Quota.ROWS])
+def test_a_study_is_extended_only_where_its_owner_has_room(service: Service, quota: Quota) -> None:
+    study = start(service)
+    studies.cancel_study(service.sessions, study.id)
+    with pytest.raises(QuotaError, match=quota.value.what):
+        studies.extend_study(service.sessions, study.id, 9, limits={quota: 0})
+    with service.sessions() as session:
+        assert session.get_one(Study, study.id).state is StudyState.CANCELLED
 
 
 def test_a_failed_study_that_is_extended_gets_a_new_chance(service: Service, conductor: Conductor) -> None:

@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from naoctl.cli import build_app
 from naoctl.commands.artifacts import export_flags
 from naoctl.config import Config
 from naoctl.errors import ExitCode, InvalidInput
-from naoctl.render import Curve, live_view
+from naoctl.render import Curve, _PlainConsole, live_view
 from naospec import TrainingSpec
 from rich.console import Console
 
@@ -231,6 +233,45 @@ def test_the_beginning_of_a_worker_s_id_is_enough(server: Any, naoctl: Callable[
     server.on("POST", "/workers/vm%3A7/drain")(lambda request: request.json(problem, status=404))
     assert naoctl("workers", "drain", "vm:7802").out.startswith("vm:7802:8976ab: drained")
     assert "There is no worker vm:7" in naoctl("workers", "drain", "vm:7").err
+
+
+def test_a_narrow_terminal_folds_no_id_of_workers_and_drops_no_column(
+    server: Any, naoctl: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = [f"job_01m7y0yae5d2d9p46g58mkcx{end}" for end in ("ab", "cd")]
+    worker = {
+        **{"id": "ip-10-0-12-113.eu-central-1.compute.internal:7802:8976ab12:3f4e5d6", "jobs": held, "alive": True},
+        **{"simulators": ["embedded", "rcssserver3d"], "robots": ["k1", "nao-0"], "disk_free_bytes": 12_100_000_000},
+        **{"heartbeat_at": datetime.now(UTC).isoformat(), "drained_at": None, "version": "0.2.0"},
+    }
+    server.on("GET", "/workers")(lambda request: request.json({"items": [worker], "next_cursor": None}))
+    monkeypatch.setattr(_PlainConsole, "is_terminal", True)
+    monkeypatch.setenv("COLUMNS", "80")
+    out = naoctl("workers").out
+    assert worker["id"] in out and "mkcxab" in out and "mkcxcd" in out
+    assert all(heading in out for heading in ("Queues", "Robots", "Works", "Free", "seen", "Version"))
+
+
+@pytest.mark.skipif(not hasattr(time, "tzset"), reason="the system has no zones of processes")
+def test_times_are_those_of_this_machine_and_one_that_has_passed_is_noted(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TZ", "CET-1")
+    time.tzset()
+    reason = "it is to start at 2027-12-01 05:00 UTC or later"
+    waiting = job(state="queued", started_at=None, waiting_reason=reason)
+    server.on("POST", "/jobs")(lambda request: request.json(waiting, 201))
+    server.on("GET", f"/jobs/{waiting['id']}")(lambda request: request.json(waiting))
+    try:
+        ran = naoctl("submit", "--not-before", "2020-12-01T06:00")
+        assert "The start time 2020-12-01T06:00:00+01:00 has passed: the work starts at once." in ran.err
+        assert "it is to start at 2027-12-01 06:00 CET or later" in ran.err
+        assert server.received[0].body["not_before"] == "2020-12-01T06:00:00+01:00"
+        assert "2027-12-01 06:00 CET" in naoctl("status", waiting["id"]).out
+        assert "has passed" not in naoctl("submit", "--not-before", "8h").err
+    finally:
+        monkeypatch.undo()
+        time.tzset()
 
 
 def test_a_name_that_means_several_jobs_is_refused(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:

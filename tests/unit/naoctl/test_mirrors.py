@@ -138,6 +138,7 @@ def trained(server: Any, service: Callable[..., None], job: Callable[..., Job], 
     return registry
 
 
+NO_MORE: Job = {"next_cursor": None}
 ROWS = [{"step": step, "attempt": 1, "time_s": step / 100, "reward": float(step)} for step in (100, 200, 300)]
 ROWS[0]["reward"] = None
 
@@ -267,6 +268,97 @@ def test_a_tracking_system_that_is_away_is_tried_again(
         f"{text}; next attempt in 0 s"
         for text in ("ConnectionError: refused", "TimeoutError: no answer", "OSError: away")
     ]
+    assert mlflow().finished() == {job()["id"]}
+
+
+class Refusing:
+    """A tracking system that refuses one job, or one policy, as W&B does a run that was deleted there."""
+
+    def __init__(self, mirror: MlflowMirror, refused: str, times: float) -> None:
+        self._mirror, self._refused, self._left = mirror, refused, times
+        self.finished, self.registered = mirror.finished, mirror.registered
+
+    def _refuse(self, what: str) -> None:
+        if what == self._refused and self._left > 0:
+            self._left -= 1
+            raise ValueError(f"{what} was deleted; use another id")
+
+    def open(self, job: Job) -> Copy:
+        self._refuse(job["id"])
+        return self._mirror.open(job)
+
+    def register(self, card: Job, name: str, folder: Path) -> bool:
+        self._refuse(name)
+        return self._mirror.register(card, name, folder)
+
+
+def test_a_job_that_is_refused_keeps_no_other_from_being_copied(
+    server: Any,
+    client: Client,
+    service: Callable[..., None],
+    job: Callable[..., Job],
+    event: Callable[..., str],
+    mlflow: Callable[[], MlflowMirror],
+) -> None:
+    service(ROWS, {"state": "succeeded"})
+    others = [job(id=f"job_{number}", state="succeeded") for number in (1, 2)]
+    for other in others:
+        for path in ("metrics", "checkpoints", "evaluations"):
+            empty = {"columns": {}} if path == "metrics" else {"items": [], "next_cursor": None}
+            server.on("GET", f"/jobs/{other['id']}/{path}")(lambda request, empty=empty: request.json(empty))
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [others[0], job(state="succeeded")], **NO_MORE}))
+    server.on("GET", "/jobs/stream")(lambda request: request.stream(event("ready", {}, "1"), event("job", others[1])))
+    notes: list[str] = []
+    chosen = [job()["id"], *(other["id"] for other in others)]
+    mirror_jobs(client, lambda: Refusing(mlflow(), job()["id"], 3), chosen, note=notes.append, retry_s=0.0)
+    assert mlflow().finished() == set(chosen)
+    ends = [line for line in notes if line.endswith(("succeeded", "later"))]
+    refused = f"{job()['id']}: ValueError: {job()['id']} was deleted; use another id; it is tried again later"
+    assert ends == [refused, "job_1: succeeded", "job_2: succeeded", refused, f"{job()['id']}: succeeded"]
+
+
+def test_a_policy_that_is_refused_or_damaged_keeps_no_other_from_being_copied(
+    server: Any, client: Client, trained: Job, job: Callable[..., Job], mlflow: Callable[[], MlflowMirror]
+) -> None:
+    (card,) = trained["cards"]
+    for name in ("runner", "sprinter"):
+        cards = [
+            {**card, "name": name, "reference": f"{name}@{number}", "version": number, "checkpoint_id": f"ckp_{step}"}
+            for number, step in ((2, 200), (1, 300))
+        ]
+        server.on("GET", f"/policies/{name}/versions")(
+            lambda request, all=cards: request.json({"items": all, **NO_MORE})
+        )
+    listed = [{**card, "name": name} for name in ("runner", "walker", "sprinter")]
+    server.on("GET", "/policies")(lambda request: request.json({"items": listed, **NO_MORE}))
+    server.on("GET", "/checkpoints/ckp_300/files/policy.npz")(lambda request: request.problem(410, "no file"))
+    notes: list[str] = []
+    mirror_jobs(client, lambda: Refusing(mlflow(), "runner", 9), [job()["id"]], note=notes.append, retry_s=0.0)
+    assert [line for line in notes if "walker" in line] == ["walker@1: registered as walker"]
+    assert any(line.startswith("runner: ValueError: ") for line in notes)
+    assert any(line.startswith("sprinter@1 is not copied: ") for line in notes)
+    assert "sprinter@2: registered as sprinter" in notes
+
+
+@pytest.mark.parametrize("status", [429, 503])
+def test_a_service_that_is_unavailable_for_a_while_ends_no_mirror(
+    status: int,
+    server: Any,
+    client: Client,
+    service: Callable[..., None],
+    job: Callable[..., Job],
+    mlflow: Callable[[], MlflowMirror],
+) -> None:
+    service(ROWS, {"state": "succeeded"})
+    for path in ("/jobs", f"/jobs/{job()['id']}/metrics", "/policies"):
+        answer = server.routes["GET", path]
+
+        def once(request: Any, path: str = path, answer: Any = answer) -> None:
+            server.on("GET", path)(answer)
+            request.problem(status, "not now")
+
+        server.on("GET", path)(once)
+    mirror_jobs(client, mlflow, [job()["id"]], retry_s=0.0)
     assert mlflow().finished() == {job()["id"]}
 
 

@@ -156,6 +156,9 @@ def test_places_of_starts_are_one_or_one_each() -> None:
     assert own.places().tolist() == [[0.0, 1.0, 0.1], [2.0, 3.0, 0.2]]
     with pytest.raises(ValueError, match="one position and heading for all starts"):
         own.place()
+    for place in ((1.0,), (1.0, 2.0, 3.0)):
+        with pytest.raises(ValueError, match="one for each of 2 starts"):
+            Starts(np.zeros((2, 2)), place).places()  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="one for each of 2 starts"):
         Starts(poses, np.zeros((3, 2))).places()
     with pytest.raises(ValueError, match="finite"):

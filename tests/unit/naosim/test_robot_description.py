@@ -46,6 +46,8 @@ def test_a_robot_whose_parts_belong_together_is_described() -> None:
     assert walker(action_range_rad=ranges).nominal.tolist() == [0.0, 0.1, -0.1]
     # without ranges actions are counted from the middle of a joint's range: any pose can be the start
     assert walker(nominal_rad={"left_roll": 0.3}).nominal.tolist() == [0.0, 0.3, 0.0]
+    turns = changed(0, low_rad=-float("inf"), high_rad=float("inf"))
+    assert walker(**turns, nominal_rad={}, action_range_rad=ranges).joints[0].high_rad == float("inf")
     held = changed(0, actuated=False)
     assert walker(**held, nominal_rad={"neck": 0.4}, action_range_rad={"left_roll": 0.5, "right_roll": 0.5})
     assert all(dataclasses.replace(robots.get(name)) == robots.get(name) for name in robots.names())
@@ -93,6 +95,14 @@ def test_a_robot_whose_parts_belong_together_is_described() -> None:
             {"perceptors": (PerceptorDescription("joint_speeds", 2, "deg/s"),)},
             "joint_speeds has 2 numbers for 3 joints",
         ),
+        (
+            {"joints": tuple(dataclasses.replace(each, actuated=False) for each in JOINTS)},
+            "joints: none is actuated; a policy needs one at least that it moves",
+        ),
+        (changed(0, low_rad=float("nan")), "joints: neck: its range is nan to 1; write numbers"),
+        (changed(0, low_rad=-float("inf"), high_rad=float("inf")), "neck: its range is -inf to inf; write numbers, or"),
+        ({"standing_height_m": 0.0}, "standing_height_m: 0 is no height"),
+        ({"front_axis": 3}, "front_axis: 3 is no column of a rotation; write 0, 1 or 2"),
         ({"camera": T1.camera}, "camera: it turns with the joint 'head_yaw', which is missing; add it, or set camera"),
     ],
 )

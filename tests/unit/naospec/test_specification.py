@@ -313,6 +313,11 @@ def test_every_setting_of_a_recipe_has_an_effect(name: str) -> None:
     assert TrainingSpec.model_validate(recipes.job(name)["spec"]).without_effect() == []
 
 
+def test_stages_with_tuples_equal_themselves_after_a_file() -> None:
+    spec = TrainingSpec.model_validate({"stages": [{"steps": 1000, "algorithm": {"hidden_sizes": (64, 32)}}]})
+    assert TrainingSpec.model_validate_json(spec.model_dump_json()) == spec
+
+
 def test_total_steps_are_the_stages_sum() -> None:
     assert "total_steps: 7 is not the sum of the stages' steps, 30" in words_of(
         {"total_steps": 7, "stages": [{"steps": 10}, {"steps": 20}]}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from naospec import TrainingSpec
 from naosprint import train
 from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, POLICY, read_arrays
@@ -25,7 +24,7 @@ def assert_same(first: Path, second: Path) -> None:
     ours, theirs = contents(first), contents(second)
     assert ours.keys() == theirs.keys()
     for name in ours:
-        assert np.array_equal(ours[name], theirs[name]), name
+        assert (ours[name].shape, ours[name].tobytes()) == (theirs[name].shape, theirs[name].tobytes()), name
 
 
 def assert_resumes(spec: TrainingSpec, stopped_at: int, workdir: Path, recorder: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -12,6 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 from naosim.robots import Robot
+from naosim.simulator import ServerLostError, Truth
 from naospec import EvaluationSpec, TaskSettings, TrainingSpec, plugins
 from naospec.metrics import Result
 from naosprint import evaluate, train
@@ -20,11 +22,12 @@ from naosprint.analysis.report import write_report
 from naosprint.analysis.results import by_name
 from naosprint.registration import register_envs
 from naosprint.rl.ppo import PPO
-from naosprint.tasks import Chart, End, Metric, Presentation, RewardTerm, Task
+from naosprint.tasks import Chart, End, Metric, ObservationBlock, Presentation, RewardTerm, Task
 from naosprint.tasks.robot_defaults import RobotDefaults
 from pydantic import Field
 
 from ..naosim import toy_simulator  # noqa: TID252 - a module of the tests
+from .checkpoints import assert_same
 
 PROGRESS = Metric("progress", "Progress", "m", "Distance crawled.", 2, "higher")
 
@@ -143,8 +146,6 @@ def test_crawlers_learn_to_crawl(tmp_path: Path, recorder: Any) -> None:
 
 def test_resuming_continues_bit_for_bit(tmp_path: Path, recorder: Any) -> None:
     """A simulator with snapshots needs nothing else."""
-    from .checkpoints import assert_same
-
     spec = crawl_spec(total_steps=4096)
     whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
     recorder.rows.clear()
@@ -196,6 +197,91 @@ def test_a_number_that_is_not_finite_is_named_once_and_ends_nothing(
     stored = by_name(json.loads((result / "evaluation.json").read_text()))["progress"]
     assert (stored["value"], stored["sd"], stored["interval"], stored["high"]) == (None, None, None, 2.0)
     assert main(["report", str(result), str(page), "--metrics", str(run / "metrics.jsonl"), "--no-film"]) == 0
+
+
+def test_what_a_task_keeps_and_measures_may_be_nan_where_a_training_resumes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorder: Any
+) -> None:
+    """Such as the place of a ball that was never seen: in an array of the task, one of a block, and a metric."""
+
+    class Unseen(Crawl):
+        def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:
+            super().__init__(parameters, world, seed)
+            self.arrays["ball"] = np.full((self.n, 2), np.nan)
+
+        def observation_blocks(self) -> Sequence[ObservationBlock]:
+            seen = np.full(self.n, np.nan)
+            block = ObservationBlock(("seen",), lambda rows: np.isnan(seen[rows])[:, None], arrays={"seen": seen})
+            return [*super().observation_blocks(), block]
+
+        def measure(self, rows: np.ndarray) -> np.ndarray:
+            return np.full((len(rows), 1), np.nan)
+
+    monkeypatch.setattr(sys.modules[__name__], "Crawl", Unseen)
+    spec = crawl_spec(total_steps=8192)
+    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
+    recorder.rows.clear()
+    half = train(spec, workdir=tmp_path / "half", reporter=recorder, stop=lambda: len(recorder.rows) > 4)
+    rest = train(spec, workdir=tmp_path / "rest", reporter=recorder, resume=half.checkpoint)
+    assert half.status == "stopped"
+    assert_same(rest.checkpoint, whole.checkpoint)
+
+
+def test_an_episode_that_diverges_in_every_run_ends_the_evaluation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, recorder: Any
+) -> None:
+    result = train(crawl_spec(total_steps=1024), workdir=tmp_path, reporter=recorder)
+
+    class Diverging(toy_simulator.CrawlerSimulator):
+        @property
+        def lost(self) -> np.ndarray:
+            return np.arange(self.n) == 1
+
+        def loss_reason(self, row: int) -> str:
+            return "the physics diverged"
+
+    monkeypatch.setattr(toy_simulator, "CrawlerSimulator", Diverging)
+    words = "episode 1 lost its robot 21 times, lastly because the physics diverged"
+    with pytest.raises(ServerLostError, match=words):
+        evaluate(result.checkpoint, EvaluationSpec(episodes=2))
+    again = "episode 1 is run again, its robot was lost: the physics diverged"
+    assert [record.getMessage() for record in caplog.records] == [again] * 20
+
+
+def test_a_trace_of_another_width_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorder: Any) -> None:
+    result = train(crawl_spec(total_steps=1024), workdir=tmp_path, reporter=recorder)
+    monkeypatch.setattr(Crawl, "trace", ("ball_x", "ball_y"))
+    with pytest.raises(ValueError, match=r"task crawl: trace_row, for ball_x, ball_y, returned .* \(2, 0\); \(2, 2\)"):
+        evaluate(result.checkpoint, EvaluationSpec(episodes=2))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"groups": (slice(0, 4),)},
+            r"groups: expected each of 16 robots in one, in order, got \(slice\(0, 4, None\),\)",
+        ),
+        ({"groups": ()}, r"groups: expected each of 16 robots in one, in order, got \(\)"),
+        ({"perceptors": {}}, r"perceptors\['joint_angles'\]: expected an array of shape \(16, 2\), got nothing"),
+        ({"perceptors": {"joint_angles": np.zeros((1, 2))}}, r"perceptors\['joint_angles'\]: .* got shape \(1, 2\)"),
+        ({"truth": Truth(np.zeros((16, 3)), np.zeros((16, 9)))}, r"truth.torso_rotation: .* \(16, 3, 3\), got shape"),
+        ({"n": 15}, "simulator crawling: open returned Changed of 15 robots; a Simulator of 16 is needed"),
+    ],
+)
+def test_what_a_simulator_lacks_is_named_before_a_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorder: Any, change: dict[str, Any], words: str
+) -> None:
+    """Robots of no group would stand still, and what they are not rewarded for would be learned."""
+
+    class Changed(toy_simulator.CrawlerSimulator):
+        def __init__(self, robot: Robot, n: int) -> None:
+            super().__init__(robot, n)
+            vars(self).update(change)
+
+    monkeypatch.setattr(toy_simulator, "CrawlerSimulator", Changed)
+    with pytest.raises(ValueError, match=words):
+        train(crawl_spec(total_steps=1024), workdir=tmp_path, reporter=recorder)
 
 
 def test_the_command_line_offers_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from naoctl.client import ApiError, Client, Json
-from naoctl.errors import CliError, Unreachable
+from naoctl.errors import CliError, ExitCode, Unreachable
 from naoctl.evaluations import job_evaluation
 from naoctl.follow import ENDED, is_over
 from naoctl.policies import checkpoint_folder, policy_path
@@ -89,24 +89,56 @@ def mirror_jobs(
     """
     waiting = set(chosen)
     copies: dict[str, Copy] = {}
+    behind: dict[str, Json] = {}  # jobs that could not be copied while the tracking system answered
+    tried_at = -math.inf
+
+    def failed(what: str, error: Exception, then: str) -> None:
+        copies.clear()
+        reason = next(iter(str(error).splitlines()), "")
+        note(f"{what}{type(error).__name__}: {reason}; {then}")
 
     def patiently(call: Callable[[], T]) -> T:
         while True:
             try:
                 return call()
             except Exception as error:  # of any type that the package of a tracking system raises
-                if isinstance(error, CliError) and not isinstance(error, Unreachable):
+                if not _passes(error):
                     raise
-                copies.clear()
-                reason = next(iter(str(error).splitlines()), "")
-                note(f"{type(error).__name__}: {reason}; next attempt in {retry_s:g} s")
+                failed("", error, f"next attempt in {retry_s:g} s")
                 time.sleep(retry_s)
 
+    def attempt(what: str, call: Callable[[], None], *, again: bool = True) -> bool:
+        """Return whether a call succeeds, once the tracking system answers: one that never does keeps no others."""
+        try:
+            call()
+        except Exception as error:
+            if isinstance(error, CliError) and error.code is ExitCode.DENIED:
+                raise
+            if not again:
+                failed(f"{what}: ", error, "it is tried again later")
+                return False
+            failed("", error, f"next attempt in {retry_s:g} s")
+            time.sleep(retry_s)
+            patiently(mirror.finished)
+            return attempt(what, call, again=False)
+        return True
+
     def update(job: Json) -> None:
+        if not job["started_at"]:
+            if is_over(job):
+                waiting.discard(job["id"])
+            return
         if job["id"] not in copies:
             copies[job["id"]] = mirror.open(job)
             note(f"{job['id']}: copying from step {copies[job['id']].last_step + 1:,}")
-        _copy_rows(client, job, copies[job["id"]])
+        try:
+            _copy_rows(client, job, copies[job["id"]])
+        except ApiError as error:
+            if error.status != 404:
+                raise
+            waiting.discard(job["id"])
+            note(f"{job['id']}: deleted")
+            return
         if is_over(job):
             if artifacts and job["state"] in ENDED:
                 _attach_artifacts(client, job, copies[job["id"]], note)
@@ -114,33 +146,43 @@ def mirror_jobs(
             waiting.discard(job["id"])
             note(f"{job['id']}: {job['state']}")
 
+    def update_all(jobs: Collection[Json]) -> None:
+        nonlocal tried_at
+        late = list(behind.values()) if time.monotonic() - tried_at >= retry_s else []
+        known = {job["id"] for job in jobs}
+        for job in (*jobs, *(job for job in late if job["id"] not in known)):
+            if attempt(job["id"], partial(update, job), again=job["id"] not in behind):
+                behind.pop(job["id"], None)
+            else:
+                behind[job["id"]], tried_at = job, time.monotonic()
+
     mirror = patiently(connect)
     for event in client.events("/jobs/stream", patience_s=math.inf):
         if event.kind == "ready":
             known = patiently(mirror.finished)
-            found = [job for job in client.every("/jobs") if job["id"] in waiting or not (chosen or job["id"] in known)]
+            every = patiently(partial(client.every, "/jobs"))
+            found = [job for job in every if job["id"] in waiting or not (chosen or job["id"] in known)]
             jobs = found[::-1]  # the oldest first
         elif event.kind == "job" and (event.data["id"] in waiting or not chosen):
             jobs = [event.data]
         else:
             continue
-        ended = False
-        for job in jobs:
-            ended = ended or is_over(job)
-            if job["started_at"]:
-                try:
-                    patiently(partial(update, job))
-                except ApiError as error:
-                    if error.status != 404:
-                        raise
-                    waiting.discard(job["id"])
-                    note(f"{job['id']}: deleted")
-            elif is_over(job):
-                waiting.discard(job["id"])
-        if artifacts and (ended or event.kind == "ready"):
-            patiently(partial(_copy_registry, client, mirror, chosen, note))
+        update_all(jobs)
+        while waiting and all(job_id in behind and is_over(behind[job_id]) for job_id in waiting):
+            time.sleep(retry_s)
+            update_all(())
+        if artifacts and (any(map(is_over, jobs)) or event.kind == "ready"):
+            for policy, name in patiently(partial(_registered, client)):
+                attempt(name, partial(_copy_versions, client, mirror, chosen, note, policy, name))
         if chosen and not waiting:
             return
+
+
+def _passes(error: Exception) -> bool:
+    """Return whether an error may pass: one of a tracking system, or of a service that is unavailable."""
+    if isinstance(error, ApiError):
+        return error.status == 429 or error.status >= 500
+    return isinstance(error, Unreachable) or not isinstance(error, CliError)
 
 
 def _attach_artifacts(client: Client, job: Json, copy: Copy, note: Callable[[str], None]) -> None:
@@ -163,30 +205,47 @@ def _attach_artifacts(client: Client, job: Json, copy: Copy, note: Callable[[str
                 copy.attach(folder)
 
 
-def _copy_registry(
-    client: Client, mirror: DownloadMirror, chosen: Collection[str], note: Callable[[str], None]
-) -> None:
-    """Copy the versions of registered policies, and their aliases, that differ from the tracking system's."""
+def _registered(client: Client) -> list[tuple[Json, str]]:
+    """Return the registered policies with the names of their copies."""
     by_name: dict[str, list[Json]] = defaultdict(list)
     for policy in client.every("/policies"):
         if policy["owner"] is not None:
             by_name[policy["name"]].append(policy)
-    for name, policies in by_name.items():
-        for policy in policies:
-            # An admin sees the policies of all owners, among which may be two of one name.
-            own = name if len(policies) == 1 else f"{policy['owner']}.{name}"
-            known = mirror.registered(own)
-            for card in client.every(f"{policy_path(name)}/versions", owner=policy["owner"])[::-1]:  # oldest first
-                card["aliases"] = sorted(alias for alias in card["aliases"] if alias != "latest")
-                same = card["reference"] in known and sorted(known[card["reference"]]) == card["aliases"]
-                if same or (chosen and card["job_id"] not in chosen):
-                    continue
-                with tempfile.TemporaryDirectory(prefix="naoctl-mirror-") as temporary:
-                    checkpoint = client.get(f"/checkpoints/{card['checkpoint_id']}")
-                    folder = Path(temporary) / checkpoint_folder(checkpoint["step"])
-                    _download(client, checkpoint, folder)
-                    if mirror.register(card, own, folder):
-                        note(f"{card['reference']}: registered as {own}")
+    # An admin sees the policies of all owners, among which may be two of one name.
+    return [
+        (policy, name if len(policies) == 1 else f"{policy['owner']}.{name}")
+        for name, policies in by_name.items()
+        for policy in policies
+    ]
+
+
+def _copy_versions(
+    client: Client,
+    mirror: DownloadMirror,
+    chosen: Collection[str],
+    note: Callable[[str], None],
+    policy: Json,
+    name: str,
+) -> None:
+    """Copy the versions of a policy, and their aliases, that differ from the tracking system's, under `name`."""
+    known = mirror.registered(name)
+    for card in client.every(f"{policy_path(policy['name'])}/versions", owner=policy["owner"])[::-1]:  # oldest first
+        card["aliases"] = sorted(alias for alias in card["aliases"] if alias != "latest")
+        same = card["reference"] in known and sorted(known[card["reference"]]) == card["aliases"]
+        if same or (chosen and card["job_id"] not in chosen):
+            continue
+        with tempfile.TemporaryDirectory(prefix="naoctl-mirror-") as temporary:
+            try:
+                checkpoint = client.get(f"/checkpoints/{card['checkpoint_id']}")
+                folder = Path(temporary) / checkpoint_folder(checkpoint["step"])
+                _download(client, checkpoint, folder)
+            except CliError as error:
+                if _passes(error):
+                    raise
+                note(f"{card['reference']} is not copied: {error}")
+                continue
+            if mirror.register(card, name, folder):
+                note(f"{card['reference']}: registered as {name}")
 
 
 def _download(client: Client, artifact: Json, folder: Path) -> None:

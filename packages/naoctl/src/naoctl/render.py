@@ -6,6 +6,7 @@ import functools
 import itertools
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
@@ -44,6 +45,7 @@ STATE_STYLE = {
 BARS = "▁▂▃▄▅▆▇█"
 ASCII_BARS = "_.-=+*#%"
 MISSING = "-"
+_UTC_TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC")
 
 
 def make_console(*, stderr: bool = False) -> Console:
@@ -161,6 +163,15 @@ def clock(text: str | None) -> str:
 def cell(text: object) -> Text:
     """Return text for a table without control characters and without markup."""
     return Text(plain(text))
+
+
+def waiting_text(work: Json) -> str:
+    """Return why work waits, with the service's times, which are in UTC, as those of this machine."""
+
+    def local(found: re.Match[str]) -> str:
+        return f"{datetime.fromisoformat(found[0].replace(' UTC', '+00:00')).astimezone():%Y-%m-%d %H:%M %Z}"
+
+    return _UTC_TIME.sub(local, plain(work["waiting_reason"]))
 
 
 def state_text(state: str) -> Text:
@@ -342,7 +353,7 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
         ("Job", job["id"]),
         ("Name", cell(job["name"])),
         ("State", state),
-        *([("Waiting", cell(job["waiting_reason"]))] if job.get("waiting_reason") else []),
+        *([("Waiting", waiting_text(job))] if job.get("waiting_reason") else []),
         *([("Stalled", Text(stall_text(job), "yellow"))] if job.get("stalled_since") else []),
         ("Progress", f"{job['progress_step']:,} of {job['total_steps']:,} steps ({percent(job):.0%})"),
         ("Training", training_text(job["spec"])),
@@ -455,7 +466,7 @@ def live_view(
         )
     parts: list[RenderableType] = [head, line]
     if job.get("waiting_reason"):
-        parts += ["", Text(f"Waiting: {plain(job['waiting_reason'])}", style="yellow")]
+        parts += ["", Text(f"Waiting: {waiting_text(job)}", style="yellow")]
     if job.get("stalled_since"):
         parts += ["", Text(f"Stalled: {stall_text(job)}", style="yellow")]
     if curve.series:

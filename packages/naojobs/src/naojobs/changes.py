@@ -16,9 +16,12 @@ from sqlalchemy.orm import Session
 
 from naojobs.database import notify
 from naojobs.errors import ConflictError
-from naojobs.models import AnyWork, Evaluation, Event, Job, Match, MatchEvent
+from naojobs.models import AnyWork, Evaluation, Event, Job, Log, Match, MatchEvent
 from naojobs.states import ENDED, LEASED, WorkState, can_become
 from naojobs.webhooks import MessageType, publish
+
+MAX_LOG_CHARS = 8_000
+"""Longer lines of a log are truncated."""
 
 W = TypeVar("W", Job, Evaluation, Match)
 
@@ -72,6 +75,18 @@ def add_event(session: Session, work: AnyWork, kind: str, message: str, data: Ma
     announce(session, work, kind)
 
 
+def add_line(session: Session, work: AnyWork, level: str, text: str) -> None:
+    """Add a line to the log of a locked job or match; evaluations have none."""
+    if isinstance(work, Evaluation):
+        return
+    of_attempt = {"attempt": work.attempt, "message": text[:MAX_LOG_CHARS]}
+    if isinstance(work, Job):
+        session.add(Log(job_id=work.id, level=level, **of_attempt))
+    else:
+        session.add(MatchEvent(match_id=work.id, kind=level, **of_attempt))
+    work.row_count += 1
+
+
 def announce(session: Session, work: AnyWork, kind: str) -> None:
     """Write the messages of an event to webhooks, if it is an end or the stall of a job."""
     ended = work.state in ENDED and kind == str(work.state)
@@ -79,7 +94,7 @@ def announce(session: Session, work: AnyWork, kind: str) -> None:
         return
     data: dict[str, Any]
     if isinstance(work, Match):
-        teams, results = [team["name"] for team in work.spec["teams"]], work.summary or {}
+        teams, results = [team.get("name") for team in work.spec.get("teams", ())], work.summary or {}
         data = {"match_id": work.id, "teams": teams, "state": str(work.state), "error": work.error}
         data |= {name: results.get(name, 0) for name in ("games", "wins", "draws", "losses")}
         publish(session, work.owner, MessageType.MATCH_ENDED, data)

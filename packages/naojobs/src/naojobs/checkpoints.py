@@ -55,7 +55,7 @@ def in_use(session: Session) -> dict[str, str]:
     """
     used: dict[str, str] = {}
     for match_id, teams in session.execute(select(Match.id, Match.spec["teams"]).where(Match.state.in_(OPEN))):
-        used |= {policy: f"match {match_id}" for team in teams for policy in team.get("policies", {}).values()}
+        used |= {policy: f"match {match_id}" for team in teams or () for policy in team.get("policies", {}).values()}
     parent = Study.job["parent_checkpoint_id"].as_string()
     for study_id, checkpoint in session.execute(select(Study.id, parent).where(Study.state == StudyState.RUNNING)):
         if checkpoint is not None:

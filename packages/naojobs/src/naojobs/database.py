@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import psycopg
 from pydantic_core import PydanticSerializationError, from_json, to_json
 from sqlalchemy import ColumnElement, Connection, Engine, create_engine, event, func, or_, text
-from sqlalchemy.exc import InvalidatePoolError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, InterfaceError, InvalidatePoolError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.orm import Session, SessionTransaction, sessionmaker
 from sqlalchemy.pool import ConnectionPoolEntry, NullPool
 
@@ -60,6 +61,14 @@ def is_due(column: Any, longest_s: float) -> ColumnElement[bool]:
     One that is further ahead was set before the database's clock was set back; it has come as well.
     """
     return or_(column <= func.now(), column > func.now() + timedelta(seconds=longest_s))
+
+
+def is_outage(error: Exception) -> bool:
+    """Return whether an error says that the database does not answer; others are about one statement, as for a lock."""
+    if isinstance(error, DBAPIError):
+        unsent = isinstance(error, OperationalError | InterfaceError) and getattr(error.orig, "sqlstate", None) is None
+        return error.connection_invalidated or unsent
+    return isinstance(error, PoolTimeoutError)
 
 
 def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naosprint") -> Engine:

@@ -11,7 +11,7 @@ from naospec.teams import ROBOT
 from sqlalchemy import func, select, update
 
 from naojobs.capabilities import MATCH_QUEUE, MATCH_VERSION, Requirements, match_task
-from naojobs.changes import add_event
+from naojobs.changes import add_event, add_line
 from naojobs.database import Sessions, notify
 from naojobs.idempotency import earlier, hold_names
 from naojobs.ids import new_id
@@ -24,8 +24,6 @@ from naojobs.submission import digest_of
 from naojobs.teams import Film, MatchSpec, find_team
 
 MAX_GAMES = 1000
-MAX_LINE_CHARS = 8_000
-"""Longer lines of a match's log are truncated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +135,7 @@ def append_lines(sessions: Sessions, lease: Lease, lines: Iterable[tuple[str, st
     with sessions.begin() as session:
         match = hold_as(session, lease, Match)
         for level, text in lines:
-            line = {"kind": level, "message": text[:MAX_LINE_CHARS]}
-            session.add(MatchEvent(match_id=match.id, attempt=match.attempt, **line))
-            match.row_count += 1
+            add_line(session, match, level, text)
         notify(session, match.id)
 
 

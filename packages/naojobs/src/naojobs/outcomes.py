@@ -5,17 +5,18 @@ Each function is one small transaction.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, cast
 
-from sqlalchemy import Select, and_, func, or_, select
+from sqlalchemy import ColumnElement, Select, and_, func, or_, select
 from sqlalchemy.orm import Session
 
-from naojobs.changes import add_event, change, lock
+from naojobs.changes import add_event, add_line, change, lock
 from naojobs.checkpoints import newest_checkpoint
-from naojobs.database import Sessions, one_statement
+from naojobs.database import Sessions, is_outage, one_statement
 from naojobs.leases import DEFAULT_LEASE_S, LONGEST_POSTPONE_S, Lease, hold, hold_as, read_lease_clock
 from naojobs.models import WORK, AnyWork, Evaluation, Event, Job, Match, MetricsRecord, WorkKind, generation, lease_time
 from naojobs.states import LEASED, WorkState
@@ -24,6 +25,9 @@ POSTPONE_S = 5.0
 """Seconds until the next attempt after one that ended because a service was unavailable, doubled with each in a row up
 to the longest.
 """
+
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +64,9 @@ def transition(
     message: str = "",
     error: str | None = None,
     data: Mapping[str, Any] | None = None,
+    output: str = "",
 ) -> WorkState:
-    """Change the state of leased work to `target`; return the state it had.
+    """Change the state of leased work to `target`, with the last `output` in its log; return the state it had.
 
     The lease ends with every state outside `LEASED`; work that a user asked to cancel becomes cancelled instead. Use it
     with `queued` to requeue work without counting a failure (a worker that shuts down); after a lost child process use
@@ -73,6 +78,7 @@ def transition(
         work = hold(session, lease)
         source = work.state
         if source is not target:
+            _log_output(session, work, output)
             _settle(session, work, target, message=message, error=error, data=data)
     return source
 
@@ -196,13 +202,25 @@ def _note_software(session: Session, job: Job, software: Mapping[str, str]) -> N
     job.software = dict(software)
 
 
-def lose(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
+def _log_output(session: Session, work: AnyWork, output: str) -> None:
+    """Write the last output of an attempt to the log of its work.
+
+    In the transaction that ends the lease: an attempt that is settled again after an error writes nothing twice.
+    """
+    if output.strip():
+        add_line(session, work, "error", output)
+
+
+def lose(sessions: Sessions, lease: Lease, reason: str, *, output: str = "") -> WorkState:
     """Count a failed attempt and queue the work again, or end it when that was the last; return the new state.
 
-    Work that a user asked to cancel or pause ends that way instead. Raises LeaseLostError.
+    Work that a user asked to cancel or pause ends that way instead. Its log gets the last `output`. Raises
+    LeaseLostError.
     """
     with sessions.begin() as session:
-        return _lose(session, hold(session, lease), reason)
+        work = hold(session, lease)
+        _log_output(session, work, output)
+        return _lose(session, work, reason)
 
 
 def postpone(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
@@ -242,12 +260,22 @@ def _lose(session: Session, work: AnyWork, reason: str, *, counts: bool = True) 
     return target
 
 
+def _why_lost(session: Session, work: AnyWork, restored: ColumnElement[bool]) -> tuple[str, bool]:
+    """Return why the lease on locked work has expired, and whether its attempt counts as a failed one."""
+    model, worker = type(work), work.lease_owner
+    if session.scalar(select(restored).where(model.id == work.id)):
+        return f"the {'service was upgraded' if work.lease_generation is None else 'database was restored'}", False
+    if session.scalar(select(model.heartbeat_at < func.pg_postmaster_start_time()).where(model.id == work.id)):
+        return f"the service was restarted, and with it worker {worker}", False
+    return f"lease of worker {worker} expired", True
+
+
 def requeue_stale(sessions: Sessions, *, lease_s: float = DEFAULT_LEASE_S) -> list[Requeued]:
     """Count a failed attempt for all work whose lease has expired, and queue it again or end it; return the new states.
 
     An attempt whose last heartbeat is older than the database's start counts as none: the machine, the container engine
     or the service was restarted, with the worker. Neither does one of another generation: the database was restored.
-    Several workers may do so at once: each row is processed by one.
+    Several workers may do so at once: each row is processed by one. A row for which that fails keeps no other from it.
     """
     done = []
     with one_statement(sessions) as session:
@@ -260,19 +288,18 @@ def requeue_stale(sessions: Sessions, *, lease_s: float = DEFAULT_LEASE_S) -> li
         with sessions() as session:
             stale = session.scalars(select(model.id).where(expired).order_by(model.lease_expires_at).limit(100)).all()
         for work_id in stale:
-            with sessions.begin() as session:
-                work = lock(session, cast("type[Job]", model), work_id, expired, skip_locked=True)
-                if work is not None:
-                    reason, counts = f"lease of worker {work.lease_owner} expired", True
-                    if session.scalar(select(restored).where(model.id == work.id)):
-                        what = "service was upgraded" if work.lease_generation is None else "database was restored"
-                        reason, counts = f"the {what}", False
-                    elif session.scalar(
-                        select(model.heartbeat_at < func.pg_postmaster_start_time()).where(model.id == work.id)
-                    ):
-                        reason, counts = f"the service was restarted, and with it worker {work.lease_owner}", False
-                    state = _lose(session, work, reason, counts=counts)
-                    done.append(Requeued(work.kind, work.id, work.simulator, state))
+            try:
+                with sessions.begin() as session:
+                    work = lock(session, cast("type[Job]", model), work_id, expired, skip_locked=True)
+                    if work is not None:
+                        reason, counts = _why_lost(session, work, restored)
+                        state = _lose(session, work, reason, counts=counts)
+            except Exception as error:
+                if is_outage(error):
+                    raise
+                _log.exception("%s is not requeued", work_id)
+            else:
+                done += [] if work is None else [Requeued(work.kind, work.id, work.simulator, state)]
     return done
 
 

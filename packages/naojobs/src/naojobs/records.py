@@ -21,15 +21,12 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Requirements
-from naojobs.changes import add_event
+from naojobs.changes import MAX_LOG_CHARS, add_event
 from naojobs.database import Sessions, notify
 from naojobs.ids import new_id
 from naojobs.leases import Lease, hold_as
 from naojobs.models import METRICS_SEQ, Checkpoint, Evaluation, Job, Log, MetricsRecord
 from naojobs.states import WorkState
-
-MAX_LOG_CHARS = 8_000
-"""Longer log messages are truncated."""
 
 _LOGGED_AT = bindparam("logged_at", type_=DateTime(timezone=True))
 _INSERT_LOG = insert(Log.__table__).values(at=func.coalesce(_LOGGED_AT, func.now()))  # type: ignore[arg-type]

@@ -33,7 +33,7 @@ from naojobs.models import (
     TeamRecord,
     generation,
 )
-from naojobs.store import ARTIFACTS, OWNER, PROBES, ArtifactStore, MissingArtifactError, artifact_of
+from naojobs.store import ARTIFACTS, OWNER, PROBES, ArtifactStore, MissingArtifactError, StoreError, artifact_of
 
 BEST_BY = "reward"
 """The column of metrics that decides which checkpoint is the best: the mean reward of the latest episodes."""
@@ -197,9 +197,11 @@ def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEF
 def sweep(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AGE_S) -> Sequence[str]:
     """Delete files that no row refers to (see `find_orphans`); return their prefixes.
 
-    Several processes may do so at once; none does while a backup is made. Raises as `find_orphans` does.
+    Several processes may do so at once; none does while a backup is made. Raises as `find_orphans` does, and StoreError
+    in the end if some files could not be deleted, which keep no others.
     """
     gone: list[str] = []
+    refused: list[str] = []
     if backups.in_progress(sessions):
         return gone
     for prefix in find_orphans(sessions, store, age_s=age_s):
@@ -207,8 +209,14 @@ def sweep(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AG
             count = store.delete_prefix(prefix) or store.delete_file(prefix)
         except MissingArtifactError:
             continue  # another process was faster
+        except (StoreError, ValueError) as error:  # no key of ours: something else put the file there
+            store.check()  # of a store that does not answer nothing can be deleted
+            refused.append(f"{prefix} cannot be deleted: {error}")
+            continue
         _log.info("deleted %s: %d files that nothing refers to", prefix, count)
         gone.append(prefix)
     if count := store.remove_unfinished(age_s):
         _log.info("deleted %d files whose writing was interrupted", count)
+    if refused:
+        raise StoreError(f"{refused[0]}" + (f"; nor can {len(refused) - 1} others" if refused[1:] else ""))
     return gone

@@ -247,11 +247,11 @@ def extend_study(sessions: Sessions, study_id: str, trials: int, *, limits: Limi
     """Give a study `trials` trials in all; one that has ended runs again, with what its sampler has learned.
 
     Raises NotFoundError, InvalidError if it has had as many trials or the search does not allow that number, and
-    QuotaError if its owner has as many jobs as `limits` allow.
+    QuotaError if its owner has as many jobs, bytes or rows as `limits` allow.
     """
     with sessions.begin() as session:
         owner = session.scalar(select(Study.owner).where(Study.id == study_id))
-        wait_for_turn(session, owner, limits, Quota.JOBS)
+        wait_for_turn(session, owner, limits, Quota.JOBS, *SPACE)
         study = _locked(session, study_id)
         started = session.scalar(select(func.count()).select_from(Trial).where(Trial.study_id == study_id)) or 0
         if trials <= started:
@@ -260,7 +260,7 @@ def extend_study(sessions: Sessions, study_id: str, trials: int, *, limits: Limi
             study.spec = SearchSpec.model_validate({**study.spec, "trials": trials}).model_dump(mode="json")
         except ValidationError as error:
             raise InvalidError(validation_words(error.errors()), "trials") from None
-        require_room(session, study.owner, limits, Quota.JOBS)
+        require_room(session, study.owner, limits, Quota.JOBS, *SPACE)
         study.state, study.error, study.finished_at = StudyState.RUNNING, None, None
         study.extended_at = started
         session.flush()

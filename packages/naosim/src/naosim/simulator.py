@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from naospec.plugins import SIMULATORS, Plugin
@@ -191,7 +191,7 @@ class Starts:
         """
         out = np.empty((len(self), 3))
         try:
-            out[:, :2], out[:, 2] = self.position_m, self.heading_rad
+            out[:, :2], out[:, 2] = np.reshape(self.position_m, (-1, 2)), self.heading_rad
         except ValueError as error:
             raise ValueError(f"starts: expected one place, or one for each of {len(self)} starts: {error}") from None
         if not np.isfinite(out).all():
@@ -592,6 +592,23 @@ class Simulator(ABC):
         """Raise SimulatorClosedError if the simulator has been closed."""
         if self.closed:
             raise SimulatorClosedError(f"{type(self).__name__} is closed")
+
+    def require_whole(self) -> None:
+        """Raise ValueError unless groups, perceptors and truth are of all robots, as wide as described."""
+        name, n = type(self).__name__, self.n
+        if [row for group in self.groups for row in range(*group.indices(n))] != list(range(n)):
+            raise ValueError(f"{name}: groups: expected each of {n} robots in one, in order, got {self.groups}")
+        perceptors, truth = getattr(self, "perceptors", {}), getattr(self, "truth", None)
+        expected: dict[str, tuple[Any, tuple[int, ...]]] = {
+            f"perceptors[{each.name!r}]": (perceptors.get(each.name), (n, each.width))
+            for each in (*self.robot.perceptors, *self.scene.perceptors)
+        }
+        expected["truth.torso_position"] = getattr(truth, "torso_position", None), (n, 3)
+        expected["truth.torso_rotation"] = getattr(truth, "torso_rotation", None), (n, 3, 3)
+        for what, (array, shape) in expected.items():
+            if np.shape(array) != shape:
+                found = "nothing" if array is None else f"shape {np.shape(array)}"
+                raise ValueError(f"{name}: {what}: expected an array of shape {shape}, got {found}")
 
     def require_group(self, rows: slice) -> None:
         """Raise ValueError unless ``rows`` is one of :attr:`groups` or all robots."""

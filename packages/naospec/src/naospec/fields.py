@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError, to_jsonable_python
 
 from naospec import plugins
 from naospec.formats import CANDIDATES_ARE_STUDIES
@@ -14,6 +14,9 @@ from naospec.settings import LearnerSettings, RuntimeSettings, SimulatorSettings
 
 DEFAULTS = {"task": "sprint1", "robot": "nao-0", "simulator": "embedded", "algorithm": "ppo"}
 """Names of the sections that a specification omits."""
+
+Changes = Annotated[dict[str, Any], AfterValidator(to_jsonable_python)]
+"""Settings as JSON holds them, so that a specification equals itself after a file."""
 
 
 class Stage(BaseModel):
@@ -40,10 +43,10 @@ class Stage(BaseModel):
         title="Robot",
         description="Robot of the stage, with its default settings; left out: the training's.",
     )
-    algorithm: dict[str, Any] = Field(
+    algorithm: Changes = Field(
         default_factory=dict, title="Algorithm", description="Algorithm settings that differ in this stage."
     )
-    task: dict[str, Any] = Field(
+    task: Changes = Field(
         default_factory=dict,
         title="Task",
         description="Task settings that differ in this stage; with a name of its own, another task with its default "

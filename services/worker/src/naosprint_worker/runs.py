@@ -12,11 +12,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
 
-from naojobs import leases, matches, outcomes, records
+from naojobs import leases, outcomes
 from naojobs.errors import ConflictError, LeaseLostError
 from naojobs.leases import Claim, EvaluationClaim
 from naojobs.models import WorkKind
-from naojobs.records import LogLine
 from naojobs.states import WorkState
 from naojobs.usage import add_usage
 from naosim.launchers import LABELS_VARIABLE
@@ -170,17 +169,15 @@ class Run:
         elif ending.reported is TrainerExitCode.PERMANENT:
             self._fail(ending, text)
         elif ending.intent is Intent.STALLED:
-            self._log_ending(ending)
             reason = f"the {self._program} made no step for {self._context.settings.worker_stall_s:g} s and was killed"
-            outcomes.lose(self._context.sessions, self._lease, reason)
+            outcomes.lose(self._context.sessions, self._lease, reason, output=last_words(ending))
         elif ending.intent is Intent.CUT_OFF:
             reason = f"the database did not answer for {self._context.settings.worker_patience_s:g} s"
             outcomes.postpone(self._context.sessions, self._lease, f"{reason}{where}")
         elif ending.outcome is not None and ending.outcome.kind == SERVICE_UNAVAILABLE:
             outcomes.postpone(self._context.sessions, self._lease, text)
         else:
-            self._log_ending(ending)
-            outcomes.lose(self._context.sessions, self._lease, text)
+            outcomes.lose(self._context.sessions, self._lease, text, output=last_words(ending))
 
     def _transition(self, target: WorkState, message: str) -> None:
         outcomes.transition(self._context.sessions, self._lease, target, message=message)
@@ -194,21 +191,9 @@ class Run:
             self._transition(WorkState.PAUSED if target is WorkState.QUEUED else WorkState.QUEUED, message)
 
     def _fail(self, ending: Ending, error: str) -> None:
-        self._log_ending(ending)
         data = {"exit": ending.returncode, "kind": ending.outcome.kind if ending.outcome else "killed"}
-        outcomes.transition(
-            self._context.sessions, self._lease, WorkState.FAILED, message=error, error=error, data=data
-        )
-
-    def _log_ending(self, ending: Ending) -> None:
-        """Write the child's last output to the log of its job or match; requires the lease."""
-        text = ending.outcome.traceback if ending.outcome else ending.last_output
-        if not text.strip():
-            return
-        if self.kind is WorkKind.JOB:
-            records.append_logs(self._context.sessions, self._lease, [LogLine("error", text)])
-        elif self.kind is WorkKind.MATCH:
-            matches.append_lines(self._context.sessions, self._lease, [("error", text)])
+        why = {"message": error, "error": error, "output": last_words(ending)}
+        outcomes.transition(self._context.sessions, self._lease, WorkState.FAILED, data=data, **why)
 
     def _give_way(self) -> None:
         """Queue the work again: together with the worker's other children it needed too much memory."""
@@ -245,6 +230,11 @@ class Run:
         except PatienceExhaustedError:
             logger.exception("%s; its lease will expire", what)
             return None
+
+
+def last_words(ending: Ending) -> str:
+    """Return the last output of a child for the log of its work."""
+    return ending.outcome.traceback if ending.outcome else ending.last_output
 
 
 def describe_ending(who: str, ending: Ending) -> str:

@@ -13,7 +13,7 @@ import json
 import logging
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -122,8 +122,9 @@ class Conductor:
             known = set(session.scalars(select(Study.id)))
         for study in held:
             if study.study_name not in known:
-                self._optuna().delete_study(study._study_id)
-                logger.info("deleted what Optuna holds of %s", study.study_name)
+                with suppress(KeyError):  # another worker was faster
+                    self._optuna().delete_study(study._study_id)
+                    logger.info("deleted what Optuna holds of %s", study.study_name)
 
     def _optuna(self) -> optuna.storages.BaseStorage:
         """Return Optuna's storage; its tables are made on first use."""

@@ -19,7 +19,7 @@ from naojobs.models import AnyWork, Evaluation, Job, Match, WorkKind
 from naojobs.notifications import Notifier, make_celery
 from naojobs.preemption import make_room
 from naojobs.store import ArtifactStore, StoreError
-from naospec.files import private_folder
+from naospec.files import private_folder, write_whole
 from naospec.processes import ProcessIdentity
 from sqlalchemy import Engine
 
@@ -87,7 +87,7 @@ class WorkLoop:
         private_folder(settings.worker_dir)
         _remove_left_folders(settings.worker_dir)
         self._context.folder.mkdir(parents=True, exist_ok=True)
-        (self._context.folder / OWNER_FILE).write_text(str(ProcessIdentity.current()), encoding="utf-8")
+        write_whole(self._context.folder / OWNER_FILE, str(ProcessIdentity.current()))
         for name, period_s, duty, wake in (
             ("beat", settings.heartbeat_s, self._beat, self._stopping),
             ("reap", settings.worker_reap_s, self._reaper.sweep, self._stopping),
@@ -262,7 +262,7 @@ class WorkLoop:
         try:
             retention.sweep(self._context.sessions, self._store)
         except StoreError as error:
-            logger.warning("sweep: the store did not answer: %s", describe(error, 200))
+            logger.warning("sweep: %s", describe(error, 200))
         except retention.ForeignStoreError as error:
             logger.error("sweep: %s", error)
         self._conductor.forget_deleted()
@@ -287,6 +287,6 @@ def _remove_left_folders(parent: Path) -> None:
     """Remove the working folders of workers that no longer exist on this machine."""
     for mark in parent.glob(f"*/{OWNER_FILE}"):
         with contextlib.suppress(OSError):
-            owner = ProcessIdentity.parse(mark.read_text(encoding="utf-8"))
-            if owner is not None and owner.is_gone():
+            owner = ProcessIdentity.parse(mark.read_text(encoding="utf-8", errors="replace"))
+            if owner is None or owner.is_gone():  # a power cut may have emptied the file
                 shutil.rmtree(mark.parent, ignore_errors=True)

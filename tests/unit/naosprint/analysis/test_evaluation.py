@@ -241,7 +241,7 @@ SHORT = {"name": "velocity", "episode_steps": 250, "command_steps": 60}
             True,
         ),
         ("sprint", {"name": "sprint1", "sensor_noise": 1.0}, False),
-        ("t1-kick-steady", {"name": "kick", "friction_min": 0.5, "mass_variation": 0.2}, True),
+        ("t1-kick-firm", {"name": "kick", "friction_min": 0.5, "mass_variation": 0.2}, True),
     ],
     ids=["pushes, noise and commands", "another robot, friction, gravity, delay", "exploration of a NAO", "a walker"],
 )

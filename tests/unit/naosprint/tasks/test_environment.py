@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from naosim import robots
 from naosim.simspark import EmbeddedSimulator
+from naosim.simulator import Starts
 from naospec import TrainingSpec
 from naosprint.tasks.base import RewardTerm, Task
 from naosprint.tasks.environment import STORES, Environment, open_training_environment
@@ -337,6 +338,7 @@ def broken(**parts: Any) -> type[Task]:
     class Broken(Sprint1):
         def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:
             super().__init__(parameters, world, seed)
+            self.arrays |= parts.get("arrays", {})
             if "flags" in parts:
                 self.flags = parts["flags"](self)
 
@@ -351,7 +353,7 @@ def broken(**parts: Any) -> type[Task]:
 
     if "ended" in parts:
         Broken.ended = lambda self, rows: parts["ended"](rows)  # type: ignore[method-assign]
-    return Broken
+    return variant(Broken, **parts.get("attributes", {}))
 
 
 @pytest.mark.parametrize(
@@ -384,12 +386,66 @@ def broken(**parts: Any) -> type[Task]:
         ({"block": lambda rows: np.zeros((4, 1))}, r"observations: a, b: the function returned .* \(4, 1\); \(4, 2\)"),
         ({"block": lambda rows: np.zeros((4, 1)), "rates": True}, r"observations: a, b: the function returned"),
         ({"block": lambda rows: np.zeros(2)}, r"observations: a, b: the function returned an array of shape \(2,\)"),
+        (
+            {"block": lambda rows: np.full((4, 2), "x")},
+            "observations: a, b: the function returned an array of <U1; real",
+        ),
+        ({"term": lambda rows: np.full(4, None)}, "'own' returned an array of object; real numbers are needed"),
+        ({"term": 3.0}, "reward term 'own' has value 3.0; an expression or a function of rows is needed"),
+        (
+            {"attributes": {"reward_terms": lambda task: [RewardTerm("own", np.nan, source(np.zeros(4)))]}},
+            "task sprint1: reward term 'own' has weight nan; a finite number is needed",
+        ),
+        ({"attributes": {"reward_terms": lambda task: None}}, r"reward_terms returned \[None\]; a list of RewardTerm"),
+        (
+            {"attributes": {"observation_blocks": lambda task: ["height"]}},
+            r"task sprint1: observation_blocks returned \['height'\]; a list of ObservationBlock is needed",
+        ),
+        (
+            {"attributes": {"observation_blocks": lambda task: []}},
+            "observations: none of the task's blocks has a number",
+        ),
+        ({"attributes": {"max_steps": 10.5}}, "task sprint1: max_steps is 10.5; a whole number from 1 is needed"),
+        ({"attributes": {"max_steps": 0}}, "max_steps is 0; a whole number"),
+        ({"attributes": {"__init__": lambda task, *_: None}}, "its __init__ has to call super"),
+        ({"attributes": {"ended": lambda task, rows: None}}, "task sprint1: ended returned 0 arrays for 2 ends"),
+        ({"attributes": {"succeeded": lambda task, rows: np.ones(4)}}, "task sprint1: succeeded has float64 of shape"),
+        (
+            {"attributes": {"starts": lambda task, *_: Starts(np.zeros((1, 3)))}},
+            r"task sprint1: starts: expected Starts with finite angles of shape \(k, 22\), k from 1, got Starts of",
+        ),
+        ({"attributes": {"starts": lambda task, *_: None}}, r"got NoneType of shape \(\)"),
+        (
+            {"arrays": {"own": np.zeros(5)}},
+            r"task sprint1: arrays: 'own' is ndarray of shape \(5,\); an array of numbers",
+        ),
+        ({"arrays": {"own": [0.0] * 4}}, "arrays: 'own' is list of shape"),
     ],
 )
 def test_a_part_that_does_not_fit_is_named(parts: dict[str, Any], message: str) -> None:
     """Where the task is opened, or where a function is called first."""
     with pytest.raises(ValueError, match=message):
         environment_of(4, broken(**parts)).step(np.zeros((4, 20)))
+
+
+@pytest.mark.parametrize("wrong", [{"signs": (0.5,)}, {"spread": (0.0,)}, {"spread": (np.nan,)}], ids=str)
+def test_a_sign_or_spread_that_is_none_is_named(wrong: dict[str, tuple[float]]) -> None:
+    with pytest.raises(ValueError, match=r"observations: own: its sign is .*; a sign is 1 or -1, a spread positive"):
+        ObservationBlock(("own",), source(np.zeros(4)), **wrong)
+
+
+def test_flags_and_small_integers_add_up_as_numbers() -> None:
+    """NumPy's sum of two flags is a flag, and that of two bytes a byte."""
+    values = (
+        np.ones(4, dtype=np.bool_),
+        np.ones(4, dtype=np.bool_),
+        *(np.full(4, 200, dtype=np.uint8),) * 2,
+        [0.5] * 4,
+    )
+    terms = [RewardTerm(f"own {k}", 1.0, lambda rows, value=value: value) for k, value in enumerate(values)]
+    environment = environment_of(4, variant(Sprint1, reward_terms=lambda task: terms), reward_scale=2.0)
+    environment.step(hold(environment))
+    assert environment.rewards.tolist() == [805.0] * 4
 
 
 def test_a_measurement_of_another_width_is_named() -> None:

@@ -45,7 +45,7 @@ from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
 from naoctl.help import SettingsCommand
 from naoctl.policies import Trained, checkpoint_folder, find_trained, folder_name
-from naoctl.render import ago, cell, listing, pairs, size, stall_text, state_text
+from naoctl.render import ago, cell, listing, pairs, size, stall_text, state_text, waiting_text
 from naoctl.specflags import build, spec_parameters, training_settings, with_parameters
 from naoctl.transfer import RemoteFile, fetch
 
@@ -448,7 +448,7 @@ def evaluate(
         if show:
             _list_evaluations(context, client.every(f"/jobs/{found['id']}/evaluations"), as_json=as_json)
             return
-        body = common_fields(tag, priority, not_before)
+        body = common_fields(context, tag, priority, not_before)
         body |= {} if time_limit is None else {"time_limit_s": time_limit}
         body |= {} if report_kind is None else {"report": report_kind.value}
         if checkpoint is not None or trained.policy is not None:
@@ -538,7 +538,7 @@ def show_evaluation(context: Context, evaluation: dict[str, Any]) -> None:
     ]
     rows += headline(evaluation.get("summary") or {}).items()
     if evaluation.get("waiting_reason"):
-        rows.append(("Waiting", cell(evaluation["waiting_reason"])))
+        rows.append(("Waiting", waiting_text(evaluation)))
     if evaluation.get("stalled_since"):
         rows.append(("Stalled", stall_text(evaluation)))
     if evaluation.get("error"):

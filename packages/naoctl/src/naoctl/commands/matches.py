@@ -20,7 +20,7 @@ from naoctl.context import Context, JsonFlag, context_of, find_listed
 from naoctl.errors import CliError, InvalidInput, plain
 from naoctl.follow import ENDED, result_of
 from naoctl.help import WholeSummaries
-from naoctl.render import MISSING, ago, cell, listing, pairs, size, state_text
+from naoctl.render import MISSING, ago, cell, listing, pairs, size, state_text, waiting_text
 from naoctl.transfer import RemoteFile, fetch
 
 _POLL_S = 2.0
@@ -89,7 +89,7 @@ def play(
         "teams": [first, second],
         **{"games": games, "players": players, "half_s": seconds, "gate": gate},
         "film": film.value,
-        **common_fields(tag, priority, not_before),
+        **common_fields(context, tag, priority, not_before),
     }
     with context.client() as client:
         match = hand_in(client, "/matches", body, key)
@@ -172,11 +172,8 @@ def show_match(ctx: typer.Context, match: Reference = "last", as_json: JsonFlag 
             f"{found['wins']} won, {found['draws']} drawn, {found['losses']} lost by {plain(found['teams'][0])}",
         ),
     ]
-    rows += [
-        (title, cell(found[name]))
-        for title, name in (("Waits", "waiting_reason"), ("Worker", "worker"), ("Error", "error"))
-        if found[name]
-    ]
+    rows += [("Waiting", waiting_text(found))] if found["waiting_reason"] else []
+    rows += [(title, cell(found[title.lower()])) for title in ("Worker", "Error") if found[title.lower()]]
     context.out.print(pairs(rows))
     table = listing("Game", "Goals", "Log", "Film", "Lost players")
     for game in found["finished"]:

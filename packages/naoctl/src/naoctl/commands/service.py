@@ -15,10 +15,12 @@ from naoctl.client import ApiError, Client
 from naoctl.config import Config, Target, normal_url, resolve_target
 from naoctl.context import JsonFlag, context_of, stdin_is_terminal
 from naoctl.errors import CliError, ExitCode, InvalidInput, plain
-from naoctl.render import MISSING, ago, cell, has_passed, listing, size
+from naoctl.render import MISSING, SHORT_ID, ago, cell, has_passed, listing, size
 
 PACKAGES = ("naospec", "naojobs", "naosprint", "naosim", "naosprint-api", "naosprint-worker")
 WorkerId = Annotated[str, typer.Argument(metavar="ID", help="A worker's id, as `naoctl workers` shows it.")]
+_BESIDE_IDS = 50
+"""Characters that the other columns of the list of workers need."""
 workers_app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 token_app = typer.Typer(no_args_is_help=True, help="Create, list and revoke tokens; needs a token with scope admin.")
 SCOPES = ("read", "submit", "admin")
@@ -94,13 +96,19 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
             cell(worker["id"]),
             cell(", ".join(worker["simulators"])),
             cell(", ".join(worker["robots"])),
-            ", ".join(_held(worker)) or MISSING,
+            "\n".join(each[-SHORT_ID:] for each in _held(worker)) or MISSING,
             MISSING if worker["disk_free_bytes"] is None else size(worker["disk_free_bytes"]),
             seen,
             cell(worker["version"]),
             style="red" if not worker["alive"] else "yellow" if worker["drained_at"] else None,
         )
-    context.out.print(table if found else "No workers. Jobs wait until one starts; `naoctl up` starts one.")
+    if not found:
+        context.out.print("No workers. Jobs wait until one starts; `naoctl up` starts one.")
+        return
+    # A narrower terminal wraps the lines: ids come first, and stay whole.
+    least = max(len(worker["id"]) for worker in found) + _BESIDE_IDS
+    table.width = max(context.out.width, least)
+    context.out.print(table, crop=False)
 
 
 @workers_app.command("drain")

@@ -118,7 +118,7 @@ def tune(
     if parent and policy:
         raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
     job = make_job(file, recipe, spec, evaluation, parent_policy=policy)
-    job |= common_fields(tag, priority, not_before, file=job)
+    job |= common_fields(context, tag, priority, not_before, file=job)
     search = make_search(
         space or [],
         objective or [],

@@ -26,7 +26,7 @@ from naoctl.context import NEWEST, Context, JsonFlag, complete_job, completions,
 from naoctl.descriptions import section_name
 from naoctl.errors import InvalidInput, Unreachable, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
-from naoctl.render import SHORT_ID
+from naoctl.render import SHORT_ID, waiting_text
 from naoctl.specflags import build, spec_parameters, training_settings, with_parameters
 
 EVAL_PREFIX = "eval_"
@@ -89,15 +89,23 @@ KeyOption = Annotated[
 
 
 def common_fields(
-    tag: list[str] | None, priority: int | None, not_before: str | None, *, file: Mapping[str, Any] | None = None
+    context: Context,
+    tag: list[str] | None,
+    priority: int | None,
+    not_before: str | None,
+    *,
+    file: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the fields of a request that all work has: those that are given, by flags or else by a job file."""
-    moment = not_before or (file or {}).get("not_before")
-    return {
-        **({} if tag is None else {"tags": tag}),
-        **({} if priority is None else {"priority": priority}),
-        **({} if moment is None else {"not_before": parse_moment(str(moment), datetime.now().astimezone())}),
-    }
+    """Return the fields of a request that all work has: those that are given, by flags or else by a job file.
+
+    A start in the past is noted, not refused: the request may be one that is sent again with its key.
+    """
+    moment, now = not_before or (file or {}).get("not_before"), datetime.now().astimezone()
+    start = None if moment is None else parse_moment(str(moment), now)
+    if start is not None and datetime.fromisoformat(start) < now:
+        context.note(f"The start time {start} has passed: the work starts at once.")
+    fields = {"tags": tag, "priority": priority, "not_before": start}
+    return {name: value for name, value in fields.items() if value is not None}
 
 
 def submit(
@@ -168,7 +176,7 @@ def submit(
         parent_checkpoint_id=checkpoint,
         parent_policy=policy,
     )
-    body |= common_fields(tag, priority, not_before, file=body)
+    body |= common_fields(context, tag, priority, not_before, file=body)
     if parent and policy:
         raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
     if body.get("name") == NEWEST:
@@ -201,8 +209,8 @@ def submit(
             context.out.print(f"Submitted {len(made['jobs'])} jobs as group {made['id']}", markup=False)
             for job in made["jobs"]:
                 context.out.print(f"  {job['id']}  {plain(job['name'])}", markup=False)
-            for reason in dict.fromkeys(job.get("waiting_reason") for job in made["jobs"]):
-                _note_waiting(context, reason)
+            for job in {job.get("waiting_reason"): job for job in made["jobs"]}.values():
+                _note_waiting(context, job)
             return
         job = hand_in(client, "/jobs", body, key)
         if as_json and not watch:
@@ -214,14 +222,14 @@ def submit(
         if watch:
             watch_job(context, client, job, as_json=as_json)
         else:
-            _note_waiting(context, job.get("waiting_reason"))
+            _note_waiting(context, job)
             context.note(f"Follow it with: naoctl watch {job['id'][-SHORT_ID:]}")
             context.note(f"Dashboard: {address(context.target(), job_path(job['id']))}")
 
 
-def _note_waiting(context: Context, reason: str | None) -> None:
-    if reason:
-        context.note(f"Waiting: {plain(reason)}")
+def _note_waiting(context: Context, job: Mapping[str, Any]) -> None:
+    if job.get("waiting_reason"):
+        context.note(f"Waiting: {waiting_text(job)}")
 
 
 def make_job(

@@ -15,7 +15,7 @@ from naoctl.descriptions import Descriptions, value_text
 from naoctl.errors import CliError, ExitCode, plain
 from naoctl.evaluations import evaluated, headline, shown_result
 from naoctl.follow import follow, is_over, result_of
-from naoctl.render import Curve, clock, duration, live_view, print_json_line, progress_line, stall_text
+from naoctl.render import Curve, clock, duration, live_view, print_json_line, progress_line, stall_text, waiting_text
 
 LINE_EVERY_S = 5.0
 """Seconds between two lines of progress where there is no terminal."""
@@ -139,7 +139,7 @@ def _watch_lines(context: Context, client: Client, job: dict[str, Any]) -> dict[
             context.out.print(state, markup=False)
         if update.kind == "job" and job.get("waiting_reason") not in (None, reason):
             reason = job["waiting_reason"]
-            context.out.print(f"Waiting: {plain(reason)}", markup=False, soft_wrap=True)
+            context.out.print(f"Waiting: {waiting_text(job)}", markup=False, soft_wrap=True)
         elif update.kind == "job" and job.get("stalled_since") != stalled:
             stalled = job.get("stalled_since")
             words = f"Stalled: {stall_text(job)}" if stalled else "The job makes steps again."

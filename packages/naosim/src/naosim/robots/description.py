@@ -247,8 +247,20 @@ def _problems(robot: Robot) -> Iterator[str]:
     if len(joints) != len(robot.joints):
         name = next(name for name in joints if robot.joint_names.count(name) > 1)
         yield f"joints: {name!r} is there twice; every joint needs a name of its own"
+    if not any(joint.actuated for joint in robot.joints):
+        yield "joints: none is actuated; a policy needs one at least that it moves"
+    if not 0.0 < robot.standing_height_m < math.inf:
+        yield f"standing_height_m: {robot.standing_height_m:g} is no height; write the torso's, in metres"
+    if robot.front_axis not in (0, 1, 2):
+        yield f"front_axis: {robot.front_axis} is no column of a rotation; write 0, 1 or 2"
     names = ", ".join(joints)
     for joint in robot.joints:
+        open_ended = joint.actuated and robot.action_range_rad is None and math.isinf(joint.high_rad - joint.low_rad)
+        if open_ended or math.isnan(joint.low_rad) or math.isnan(joint.high_rad):
+            yield (
+                f"joints: {joint.name}: its range is {joint.low_rad:g} to {joint.high_rad:g}; write numbers, or state "
+                "action_range_rad for a joint without limits"
+            )
         yield from _problems_of_sides(joint, joints.get(joint.mirror), names)
     for field, angles in (("nominal_rad", robot.nominal_rad), ("action_range_rad", ranges or {})):
         for name in angles:

@@ -7,13 +7,14 @@ meaning, so that it can be shown without the task.
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from naosim import kinds
-from naosim.simulator import STEP_S
+from naosim.simulator import STEP_S, ServerLostError
 from naospec import formats
 from naospec.json_text import json_text
 from naospec.metrics import EPISODE_METRICS, Result, ResultTable, for_family
@@ -23,6 +24,7 @@ from naosprint.analysis.replay import Replay
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.tasks.observations import require_numbers
 from naosprint.terms.randomness import Normals
 from naosprint.threads import one_blas_thread
 
@@ -148,7 +150,8 @@ def evaluate(
         CheckpointError: if the checkpoint is damaged.
         InterruptedError: if ``stop`` returned true.
         FileNotFoundError: if the simulator's program is missing.
-        naosim.simulator.ServerLostError: if more servers failed than the training's ``max_server_failures``.
+        naosim.simulator.ServerLostError: if more servers failed than the training's ``max_server_failures``, or one
+            episode lost its robot more often, which one that diverges does in every run.
         ValueError: if the policy does not fit the task, or the task returns results that it does not declare.
     """
     policy, manifest = load_policy(checkpoint)
@@ -165,7 +168,8 @@ def evaluate(
         world = environment.world
         rng = None if spec.deterministic else Normals(seed + 0xAC7, world.streams, world.steps)
         with one_blas_thread():
-            recorder = _Recorder(environment, policy, spec.episodes, len(starts), rng)
+            most_losses = setting.runtime.max_server_failures
+            recorder = _Recorder(environment, policy, spec.episodes, len(starts), rng, most_losses)
             recorder.run(progress, stop)
         failures, counters = environment.simulator.failures, dict(environment.simulator.counters)
     finally:
@@ -265,13 +269,21 @@ class _Recorder:
     """The episodes of an evaluation, each run by the next free environment."""
 
     def __init__(
-        self, environment: Environment, policy: Policy, episodes: int, n_starts: int, rng: Normals | None
+        self,
+        environment: Environment,
+        policy: Policy,
+        episodes: int,
+        n_starts: int,
+        rng: Normals | None,
+        most_losses: int,
     ) -> None:
         self.environment = environment
         self.policy = policy
         self.n_episodes = episodes
         self.n_starts = n_starts
         self.rng = rng
+        self.most_losses = most_losses
+        self._losses: Counter[int] = Counter()  # of robots, by episode
         self.ends: dict[str, BoolArray] = {
             end.name: np.zeros(episodes, dtype=np.bool_) for end in environment.task.ends
         }
@@ -298,8 +310,12 @@ class _Recorder:
             lost = np.flatnonzero(active & environment.lost)
             if len(lost):
                 for row in lost.tolist():
-                    reason = environment.simulator.loss_reason(row)
-                    logger.warning("episode %d is run again, its server was lost: %s", episode[row], reason)
+                    reason, number = environment.simulator.loss_reason(row), int(episode[row])
+                    self._losses[number] += 1
+                    if self._losses[number] > self.most_losses:
+                        times = self._losses[number]
+                        raise ServerLostError(f"episode {number} lost its robot {times} times, lastly because {reason}")
+                    logger.warning("episode %d is run again, its robot was lost: %s", number, reason)
                 self._drop(lost)
                 self._begin(lost)
             running = np.flatnonzero(active & ~environment.lost)
@@ -348,7 +364,9 @@ class _Recorder:
         feet = simulator.foot_forces()[rows]
         airborne = simulator.airborne()[rows]
         up = world.rotation(rows)[:, 2, 2]
-        trace = environment.task.trace_row(rows)
+        task = environment.task
+        what = f"task {task.name}: trace_row, for {', '.join(task.trace) or 'no name in trace'},"
+        trace = require_numbers(task.trace_row(rows), (len(rows), len(task.trace)), what)
         self._owners.append(episode[rows].copy())
         self._samples.append(np.column_stack([world.position(rows), up, feet, airborne, trace]))
         first = np.flatnonzero(episode[rows] == 0)

@@ -255,8 +255,10 @@ def read_arrays(path: Path) -> dict[str, AnyArray]:
         raise CheckpointError(f"{path}: not a file of arrays: {error}") from error
 
 
-def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[str, AnyArray]) -> None:
-    """Check that ``found`` has the names, shapes and kinds of ``expected`` and nothing but finite numbers.
+def require_like(
+    path: Path, found: Mapping[str, AnyArray], expected: Mapping[str, AnyArray], *, finite: bool = True
+) -> None:
+    """Check that ``found`` has the names, shapes and kinds of ``expected``, and nothing but finite numbers if asked.
 
     What a policy's file lacks because another array implies it may be missing.
 
@@ -274,7 +276,7 @@ def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[st
                 f"{path}: array {name!r} is {theirs.dtype}{list(theirs.shape)}, "
                 f"but the specification needs {ours.dtype}{list(ours.shape)}"
             )
-        if theirs.dtype.kind == "f" and not np.isfinite(theirs).all():
+        if finite and theirs.dtype.kind == "f" and not np.isfinite(theirs).all():
             raise CheckpointError(f"{path}: array {name!r} contains numbers that are not finite")
 
 

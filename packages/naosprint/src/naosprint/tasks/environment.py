@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sized
+from numbers import Real
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from naosim import kinds, robots
-from naosim.simulator import NativeHandle, RuntimeOptions
+from naosim.simulator import NativeHandle, RuntimeOptions, Simulator
 from naospec.sections import require_plain_names
 
 from naosprint import _compiled
-from naosprint.tasks.base import Task, get
+from naosprint.tasks.base import RewardTerm, Task, get
 from naosprint.tasks.disturbances import Disturbances
 from naosprint.tasks.measurements import StoredNumbers, kept
-from naosprint.tasks.observations import ObservationBlock, Observer, blocks, require_shape
+from naosprint.tasks.observations import ObservationBlock, Observer, blocks, require_numbers
 from naosprint.tasks.world import World
 from naosprint.terms import Number
 from naosprint.terms.compiled import compilable, operation
@@ -22,12 +24,14 @@ from naosprint.terms.compiled import compilable, operation
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from naosim.simulator import Simulator, Starts
+    from naosim.simulator import Starts
     from naospec import TaskSettings, TrainingSpec
 
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
-    from naosprint.tasks.base import End, RewardTerm
+    from naosprint.tasks.base import End
     from naosprint.terms import Store
+
+Part = TypeVar("Part", "RewardTerm", ObservationBlock)
 
 SHORT_EPISODE_STEPS = 100
 """Steps after which short episodes are truncated: by then a robot runs."""
@@ -83,6 +87,7 @@ class Environment:
         compiled: bool = True,
         critic: bool = False,
     ) -> None:
+        simulator.require_whole()
         n = simulator.n
         self.n = n
         self.simulator = simulator
@@ -90,16 +95,19 @@ class Environment:
         self.actuation = self.world.actuation
         self.task = task_class(parameters, self.world, seed)
         require_plain_names("joints", self.world.robot.joint_names)
-        terms = self.task.reward_terms()
-        _require_fit(self.task, terms)
+        _require_fit(self.task, self.world)
+        terms = _listed(self.task, "reward_terms", RewardTerm)
+        _require_terms(self.task, terms)
         self._terms = [term for term in terms if term.weight != 0.0]
         self._scale = float(parameters.reward_scale)
         self.disturbances = Disturbances(parameters, simulator, seed, self.world.streams)
         privileged: list[ObservationBlock] = []
         if critic:
             unseen = blocks(self.world, self.world.defaults.privileged)
-            privileged = [*self.task.critic_blocks(), *self.disturbances.critic_blocks(), *unseen]
-        self.observer = Observer(n, self.task.observation_blocks(), parameters.history_steps, privileged)
+            own = _listed(self.task, "critic_blocks", ObservationBlock)
+            privileged = [*own, *self.disturbances.critic_blocks(), *unseen]
+        observed = _listed(self.task, "observation_blocks", ObservationBlock)
+        self.observer = Observer(n, observed, parameters.history_steps, privileged)
         require_plain_names("observations", (*self.observer.names, *self.observer.critic_names))
         self._kept = self._kept_by_stores()
         self._new = {name: array.copy() for name, array in self._arrays.items()}
@@ -209,8 +217,16 @@ class Environment:
         """Replace the starts.
 
         Raises:
-            ValueError: if an episode that begins with one of them ends at once.
+            ValueError: if they are no poses of the robot, or an episode that begins with one of them ends at once.
         """
+        poses: Any = getattr(starts, "poses_rad", None)
+        shape, joints = np.shape(poses), self.actuation.n_joints
+        if len(shape) != 2 or not shape[0] or shape[1] != joints or not np.isfinite(poses).all():
+            raise ValueError(
+                f"task {self.task.name}: starts: expected Starts with finite angles of shape (k, {joints}), k from 1, "
+                f"got {type(starts).__name__} of shape {shape}"
+            )
+        starts.places()
         self.disturbances.vary()
         self.simulator.load_starts(starts)
         rows = np.arange(min(self.n, len(starts)))
@@ -250,7 +266,9 @@ class Environment:
             self.simulator.draw_by_episode(rows, episodes)
         else:
             # of an episode that is truncated to train the start no more is asked than that it does not fail
-            failed = self.failed[rows] | ~(self.task.succeeded(rows) | self.short[rows])
+            succeeded = self.task.succeeded(rows)
+            _require_flags(succeeded, len(rows), f"task {self.task.name}: succeeded")
+            failed = self.failed[rows] | ~(succeeded | self.short[rows])
             self.disturbances.grow(rows, (world.steps[rows] > 0) & ~self.lost[rows], failed)
         self.simulator.start(rows, starts, following)
         self.task.place(rows)
@@ -344,9 +362,7 @@ class Environment:
         self.observer.update(rows)
         rewards = np.zeros(rows.stop - rows.start)
         for number, term in enumerate(self._terms):
-            value = term.compute(rows)
-            if not isinstance(term.value, Number):
-                require_shape(value, (len(lost),), f"task {task.name}: the function of reward term {term.name!r}")
+            value = self._value(term, rows)
             if term.weight != 1.0:
                 value = term.weight * value
             rewards = value if number == 0 else rewards + value
@@ -369,6 +385,11 @@ class Environment:
         short = self.short[rows] & (world.steps[rows] >= SHORT_EPISODE_STEPS) & ~terminated
         self.lost[rows], self.failed[rows] = lost, failed
         self.terminated[rows], self.truncated[rows] = terminated, truncated | short
+
+    def _value(self, term: RewardTerm, rows: slice) -> FloatArray:
+        """Return the (k,) values of a reward term; the function of another package may return anything."""
+        what = f"task {self.task.name}: the function of reward term {term.name!r}"
+        return require_numbers(term.compute(rows), (rows.stop - rows.start,), what)
 
     def _ended(self, rows: slice) -> Iterator[tuple[End, BoolArray]]:
         """Return each end of the task with the robots that have reached it.
@@ -394,13 +415,12 @@ class Environment:
         found = task.measure(rows)
         live = [metric.name for metric in task.metrics if metric.live]
         what = f"task {task.name}: measure, for {', '.join(live) or 'no live metric'},"
-        require_shape(found, (len(rows), len(live)), what)
-        return found
+        return require_numbers(found, (len(rows), len(live)), what)
 
     def not_finite(self, row: int) -> str:
         """Return the name of what is not finite in the latest reward of a robot."""
         rows = slice(row, row + 1)
-        found = (term.name for term in self._terms if not np.isfinite(term.weight * term.compute(rows)).all())
+        found = (term.name for term in self._terms if not np.isfinite(term.weight * self._value(term, rows)).all())
         name = next(found, None)
         return f"task {self.task.name}: " + ("the reward" if name is None else f"reward term {name!r}")
 
@@ -466,25 +486,55 @@ def _saved(name: str, array: AnyArray) -> AnyArray:
     return found.view(f"i{found.itemsize}") if bits else found
 
 
-def _require_fit(task: Task, terms: Sequence[RewardTerm]) -> None:
-    """Check that a task's flags and reward terms have the numbers that steps compute with."""
+def _listed(task: Task, method: str, kind: type[Part]) -> list[Part]:
+    """Return what a method of a task returned as a list of a class."""
+    returned = getattr(task, method)()
+    found = list(returned) if isinstance(returned, Iterable) else [returned]
+    if not all(isinstance(each, kind) for each in found):
+        raise ValueError(f"task {task.name}: {method} returned {found!r:.100}; a list of {kind.__name__} is needed")
+    return found
+
+
+def _require_fit(task: Task, world: World) -> None:
+    """Check that a task has what steps compute with: its length, what it stores, and its flags."""
+    if getattr(task, "world", None) is not world:
+        raise ValueError(f"task {task.name}: its __init__ has to call super().__init__(parameters, world, seed) first")
+    if not isinstance(task.max_steps, int) or task.max_steps < 1:
+        raise ValueError(f"task {task.name}: max_steps is {task.max_steps!r}; a whole number from 1 is needed")
+    for name, array in task.arrays.items():
+        if not isinstance(array, np.ndarray) or array.shape[:1] != (task.n,) or array.dtype.kind not in "biuf":
+            raise ValueError(
+                f"task {task.name}: arrays: {name!r} is {type(array).__name__} of shape {np.shape(array)}; an array of "
+                f"numbers with a row for each of {task.n} robots is needed"
+            )
     if type(task).ended is Task.ended:
         _require_count(task, task.flags, "flags has")
         for end, flag in zip(task.ends, task.flags, strict=True):
             _require_flags(flag, task.n, f"task {task.name}: flags: end {end.name!r}")
+
+
+def _require_terms(task: Task, terms: Sequence[RewardTerm]) -> None:
+    """Check that each reward term has a weight and one number for each robot, or a function."""
     for term in terms:
+        what = f"task {task.name}: reward term {term.name!r}"
+        weight: object = term.weight
+        if not isinstance(weight, Real) or not np.isfinite(float(weight)):
+            raise ValueError(f"{what} has weight {weight!r}; a finite number is needed")
+        if not isinstance(term.value, Number) and not callable(term.value):
+            raise ValueError(f"{what} has value {term.value!r:.60}; an expression or a function of rows is needed")
         if isinstance(term.value, Number) and term.value.width != 1:
             raise ValueError(
-                f"task {task.name}: reward term {term.name!r} has {term.value.width} numbers for each robot; one is "
-                "needed, such as total(...) or one of its columns"
+                f"{what} has {term.value.width} numbers for each robot; one is needed, such as total(...) or one of "
+                "its columns"
             )
 
 
 def _require_count(task: Task, flags: Sequence[BoolArray], what: str) -> None:
-    if len(flags) != len(task.ends):
+    count = len(flags) if isinstance(flags, Sized) else 0
+    if count != len(task.ends):
         names = ", ".join(end.name for end in task.ends) or "none"
         raise ValueError(
-            f"task {task.name}: {what} {len(flags)} arrays for {len(task.ends)} ends ({names}); one for each is "
+            f"task {task.name}: {what} {count} arrays for {len(task.ends)} ends ({names}); one for each is "
             "needed, in their order"
         )
 
@@ -523,6 +573,11 @@ def open_environment(
         threads=threads, standby_servers=standby_servers, max_server_failures=spec.runtime.max_server_failures
     )
     simulator = kind.open(robots.configured(spec.robot), n, spec.simulator, options, task.scene)
+    if not isinstance(simulator, Simulator) or getattr(simulator, "n", None) != n:
+        raise ValueError(
+            f"simulator {spec.simulator.name}: open returned {type(simulator).__name__} of "
+            f"{getattr(simulator, 'n', None)} robots; a Simulator of {n} is needed, made by super().__init__(robot, n)"
+        )
     try:
         return Environment(simulator, task, spec.task, spec.seed if seed is None else seed, critic=critic)
     except BaseException:

@@ -288,11 +288,10 @@ def _yaw(quaternions: FloatArray) -> FloatArray:
 def _turned(motion: RobotMotion, angles: FloatArray, offsets: FloatArray) -> RobotMotion:
     """Return motion turned by (k,) angles about the vertical through the origin, then moved by (k, 2) metres."""
     cosine, sine = np.cos(angles), np.sin(angles)
-
-    def vector(values: FloatArray) -> FloatArray:
-        x, y, z = values.T
-        return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
-
+    vectors = np.stack([motion.torso_m, motion.torso_mps, motion.torso_rad_s])
+    x, y = vectors[..., 0].copy(), vectors[..., 1].copy()
+    vectors[..., 0], vectors[..., 1] = cosine * x - sine * y, sine * x + cosine * y
+    vectors[0, :, :2] += offsets
     half_cosine, half_sine = np.cos(angles / 2.0), np.sin(angles / 2.0)
     w, x, y, z = motion.torso_wxyz.T
     quaternion = [
@@ -301,12 +300,5 @@ def _turned(motion: RobotMotion, angles: FloatArray, offsets: FloatArray) -> Rob
         half_cosine * y + half_sine * x,
         half_cosine * z + half_sine * w,
     ]
-    place = vector(motion.torso_m)
-    place[:, :2] += offsets
-    return replace(
-        motion,
-        torso_m=place,
-        torso_wxyz=np.stack(quaternion, axis=1),
-        torso_mps=vector(motion.torso_mps),
-        torso_rad_s=vector(motion.torso_rad_s),
-    )
+    place, velocity, spin = vectors
+    return replace(motion, torso_m=place, torso_wxyz=np.stack(quaternion, axis=1), torso_mps=velocity, torso_rad_s=spin)

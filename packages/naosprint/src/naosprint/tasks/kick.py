@@ -348,9 +348,9 @@ class Kick(BallTask[KickSettings]):
 
         A power kick passes through a point in that direction on its way, wherever it stops.
         """
-        speed, aim = rolling.launch(target[:, 1], target[:, 0])
-        straight = rolling.launch(target[:, 1], np.zeros(len(target)))[0]
-        return np.where(power, straight, speed), np.where(power, rolling.power_aim(target[:, 0]), aim)
+        direction, distance = target.T
+        speed, aim = rolling.launch(distance, np.where(power, 0.0, direction))
+        return speed, np.where(power, rolling.power_aim(direction), aim) if power.any() else aim
 
     def handed_over(self, row: int) -> dict[str, AnyArray]:
         """Return what an exported skill is given when its kick begins: target, and the walker's last step."""

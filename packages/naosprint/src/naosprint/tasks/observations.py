@@ -74,7 +74,7 @@ class ObservationBlock:
         arrays: what the block stores, one row per robot.
 
     Raises:
-        ValueError: if the value, partners, signs or spread are not as many as the names.
+        ValueError: if the value, partners, signs or spread are not as many as the names, or a sign is not 1 or -1.
     """
 
     def __init__(
@@ -113,17 +113,24 @@ class ObservationBlock:
                     f"observations: {', '.join(self.names)}: {what} has {len(given_for)} entries for "
                     f"{len(self.names)} names; one for each is needed"
                 )
+        for name, sign, spread_of in zip(self.names, self.signs, self.spread, strict=True):
+            if sign not in (-1.0, 1.0) or not 0.0 < spread_of < np.inf:
+                raise ValueError(
+                    f"observations: {name}: its sign is {sign}, its spread {spread_of}; a sign is 1 or -1, a spread "
+                    "positive"
+                )
 
     def measured(self, rows: slice | IntArray) -> FloatArray:
         """Return the numbers of the (k,) robots ``rows``, a row for each, or one row for all.
 
         Raises:
-            ValueError: if a function returns another shape; the message names the block.
+            ValueError: if a function returns another shape or no numbers; the message names the block.
         """
         values = self.value(rows)
         if not isinstance(self.value, Number):
             k = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
-            require_shape(values, (k, len(self.names)), f"observations: {', '.join(self.names)}: the function")
+            what = f"observations: {', '.join(self.names)}: the function"
+            return require_numbers(values, (k, len(self.names)), what)
         return values
 
 
@@ -161,6 +168,8 @@ class Observer:
             names += [f"{name}{PAST}{ago}" for name in names[: self.width]]
             partners += [f"{name}{PAST}{ago}" for name in partners[: self.width]]
             signs += signs[: self.width]
+        if not names:
+            raise ValueError("observations: none of the task's blocks has a number; a policy needs one at least")
         self.names = tuple(names)
         for numbers, more in zip((names, partners, signs), _numbers(critic), strict=True):
             numbers += more  # type: ignore[operator]
@@ -288,14 +297,18 @@ class Observer:
                 array[:] = state[name]
 
 
-def require_shape(values: Any, shape: tuple[int, ...], what: str) -> None:
-    """Check what a function of some robots returned, which NumPy would otherwise repeat for all.
+def require_numbers(values: Any, shape: tuple[int, ...], what: str) -> FloatArray:
+    """Return as float64 what a function of some robots returned, which NumPy would otherwise repeat for all.
 
     Raises:
-        ValueError: if it has another shape.
+        ValueError: if it has another shape, or no real numbers.
     """
-    if np.shape(values) != shape:
-        raise ValueError(f"{what} returned an array of shape {np.shape(values)}; {shape}, a row a robot, is needed")
+    array = np.asarray(values)
+    if array.shape != shape:
+        raise ValueError(f"{what} returned an array of shape {array.shape}; {shape}, a row a robot, is needed")
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{what} returned an array of {array.dtype}; real numbers are needed")
+    return array.astype(np.float64, copy=False)
 
 
 def _numbers(blocks: Sequence[ObservationBlock]) -> tuple[list[str], list[str], list[float]]:

@@ -201,9 +201,10 @@ def _inverse(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray,
 
 def _place(grid: FloatArray, values: FloatArray) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], FloatArray]:
     """Return in which interval of a grid values are, and where in it, 0 to 1."""
-    index = np.clip(np.searchsorted(grid, values) - 1, 0, len(grid) - 2)
-    share = np.clip((values - grid[index]) / (grid[index + 1] - grid[index]), 0.0, 1.0)
-    return index, share
+    # np.clip takes three times as long for the few values of an episode's start
+    index = np.minimum(np.maximum(grid.searchsorted(values) - 1, 0), len(grid) - 2)
+    low = grid[index]
+    return index, np.minimum(np.maximum((values - low) / (grid[index + 1] - low), 0.0), 1.0)
 
 
 def _between(values: FloatArray, row: tuple, column: tuple, *first: IntArray) -> FloatArray:  # type: ignore[type-arg]

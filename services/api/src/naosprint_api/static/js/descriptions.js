@@ -72,6 +72,12 @@ export class Descriptions {
     return summary.results.filter((result) => !others.has(result.name));
   }
 
+  /** A result of an evaluation, or a metric of a training, by its name. */
+  measured(spec, name) {
+    const results = this.task(nameOf(spec, "task"))?.results ?? [];
+    return results.find((result) => result.name === name) ?? this.metrics(spec).get(name) ?? plain(name);
+  }
+
   /** All metrics of a specification by name. */
   metrics(spec) {
     const known = [

@@ -53,12 +53,21 @@ const identity = (el) =>
     el.getAttribute("aria-label") ? null : el.textContent,
   ].join("|");
 
-/** Replace the children of `node`; the focus moves to the control that replaces the focused one. */
+/** Boxes of `node` that scroll sideways, by their labels. */
+const scrollers = (node) => [...node.querySelectorAll(".scroll-x")].map((box) => [box.getAttribute("aria-label"), box]);
+
+/**
+ * Replace the children of `node`; the focus moves to the control that replaces the focused one, and boxes that scroll
+ * sideways stay where they were.
+ */
 export function fill(node, ...kids) {
+  const places = new Map(scrollers(node).map(([label, box]) => [label, box.scrollLeft]));
   const held = document.activeElement;
   const key = held && held !== node && held !== document.body && node.contains(held) ? identity(held) : null;
   node.replaceChildren();
   append(node, kids);
+  if ([...places.values()].some(Boolean))
+    for (const [label, box] of scrollers(node)) box.scrollLeft = places.get(label) ?? 0;
   if (key !== null)
     [...node.querySelectorAll(held.tagName)].find((el) => identity(el) === key)?.focus({ preventScroll: true });
   return node;

@@ -33,16 +33,18 @@ export const fixed = (v, digits = 2) =>
         .replace(/^-(?=0(\.0*)?$)/, "")
         .replace("-", "−");
 
-/** Significant digits, scientific when tiny. */
+/** Significant digits, or all of a whole part that has more; scientific when tiny or huge. */
 export function significant(v, digits = 3) {
   if (missing(v)) return NONE;
   const a = Math.abs(v);
+  if (a < 1e6 && Math.abs(Number(v.toPrecision(digits))) >= 1000)
+    return v.toLocaleString("en-US", { maximumFractionDigits: Math.max(0, digits - 4) }).replace("-", "−");
   if (a !== 0 && (a < 1e-3 || a >= 1e6))
     return v
       .toExponential(digits - 1)
       .replace("e-", "e−")
       .replace("e+", "e");
-  return trim(v.toPrecision(digits).replace(/e\+?(\d+)/, (_, e) => `e${e}`)).replace(/^-/, "−");
+  return trim(v.toPrecision(digits)).replace(/^-/, "−");
 }
 
 /** A value of a metric without its unit: with its digits, fractions in percent. */
@@ -58,6 +60,9 @@ export function metricText(metric, v) {
 
 /** A metric's unit as shown after a number; empty for none. */
 export const shownUnit = (metric) => metric.unit ?? "";
+
+/** A metric's title with its unit: "Top speed, m/s". */
+export const titled = (metric) => [metric.title ?? words(metric.name), shownUnit(metric)].filter(Boolean).join(", ");
 
 /** A value of a metric with its unit: "4.03 m/s", "0.4 %", "0.5°". */
 export function withUnit(metric, v) {
@@ -99,20 +104,15 @@ export function bytes(v) {
   return `${v} B`;
 }
 
-/** ISO time -> "just now", "4 min ago", "3 h ago", "12 Mar". */
+/** ISO time -> "just now", "4 min ago", "3 h ago", "2 d ago", "2026-03-12". */
 export function ago(iso) {
   if (!iso) return NONE;
-  const then = new Date(iso);
-  const dt = (Date.now() - then) / 1000;
+  const dt = (Date.now() - new Date(iso)) / 1000;
   if (dt < 45) return "just now";
   if (dt < 3600) return `${Math.max(1, Math.round(dt / 60))} min ago`;
   if (dt < 86400) return `${Math.round(dt / 3600)} h ago`;
   if (dt < 7 * 86400) return `${Math.round(dt / 86400)} d ago`;
-  return then.toLocaleDateString("en-GB", {
-    day: "numeric",
-    month: "short",
-    year: then.getFullYear() === new Date().getFullYear() ? undefined : "numeric",
-  });
+  return day(iso);
 }
 
 /** ISO time -> "14:03:59" local. */
@@ -125,6 +125,12 @@ export function stamp(iso) {
   const two = (n) => String(n).padStart(2, "0");
   return `${d.getFullYear()}-${two(d.getMonth() + 1)}-${two(d.getDate())} ${two(d.getHours())}:${two(d.getMinutes())}:${two(d.getSeconds())}`;
 }
+
+/** ISO time -> "2026-03-14" local. */
+export const day = (iso) => stamp(iso).slice(0, 10);
+
+/** ISO time -> "2026-03-14 14:03" local. */
+export const minute = (iso) => stamp(iso).slice(0, 16);
 
 /** "learning_rate" -> "Learning rate". */
 export const words = (key) => key.replace(/_/g, " ").replace(/^./, (c) => c.toUpperCase());

@@ -2,7 +2,7 @@
 
 import { s } from "./dom.js";
 import { axes, path, svg, ticks } from "./figures.js";
-import { compact, significant } from "./format.js";
+import { compact, metricText, significant, titled } from "./format.js";
 
 const HEIGHT = 320;
 /** Least distance of parallel axes, pixels. */
@@ -59,6 +59,13 @@ export function axisOf(title, values, known = {}) {
   const texts = [0, 1, 2, 3].map((more) => at.map((v) => format(v, more)));
   const shown = texts.find((found) => new Set(found).size === found.length) ?? texts[0];
   return { title, place, format, marks: at.map((v, i) => [place(v), shown[i]]) };
+}
+
+/** Axis of a metric with a description; its marks have more digits where they need them to differ. */
+export function metricAxis(metric, values) {
+  if (missing(metric.digits)) return axisOf(titled(metric), values);
+  const format = (value, more = 0) => metricText({ ...metric, digits: metric.digits + more }, value);
+  return axisOf(titled(metric), values, { format });
 }
 
 /** What a row of a plot is drawn with; `props` are those of its shape. */

@@ -2,8 +2,8 @@
 
 import { s } from "./dom.js";
 import { axes, path, svg } from "./figures.js";
-import { compact, significant, words } from "./format.js";
-import { axisOf, missing, parallel, scatter } from "./plots.js";
+import { compact, significant, titled } from "./format.js";
+import { axisOf, metricAxis, missing, parallel, scatter } from "./plots.js";
 
 const HEIGHT = 300;
 
@@ -15,8 +15,12 @@ function range(values) {
   return [low - room, high + room];
 }
 
-/** Curves of trials: `lines` have x, y, label and token. */
-export function curves(width, lines, label) {
+/** A value of a metric with the digits that tell trials apart, without its unit. */
+export const valueText = (metric, value) => significant(metric.unit === "%" ? 100 * value : value, 4);
+
+/** Curves of a metric of trials: `lines` have x, y, label and token. */
+export function curves(width, lines, metric) {
+  const label = titled(metric);
   const points = lines.map((line) => line.x.map((x, i) => [x, line.y[i]]).filter(([, y]) => !missing(y)));
   const all = points.flat();
   if (!all.length)
@@ -34,7 +38,8 @@ export function curves(width, lines, label) {
     xLabel: "Steps",
     yLabel: label,
     xFormat: compact,
-    yFormat: (v) => significant(v),
+    yFormat: (v) => valueText(metric, v),
+    left: 58,
   });
   return svg(
     width,
@@ -55,13 +60,13 @@ export function curves(width, lines, label) {
   );
 }
 
-/** The complete trials as rows of plots, with the axes of their settings and of their objectives. */
-function trialRows(study) {
+/** The complete trials as rows of plots, with the axes of their settings and of their objectives, the metrics. */
+function trialRows(study, metrics) {
   const space = Object.entries(study.spec.space);
   const best = new Set(study.best);
   const trials = study.trials.filter((trial) => trial.state === "complete");
   const rows = trials.map((trial) => ({
-    label: `Trial ${trial.number}: ${trial.values.map((value) => significant(value, 4)).join(", ")}`,
+    label: `Trial ${trial.number}: ${trial.values.map((value, i) => valueText(metrics[i], value)).join(", ")}`,
     href: trial.job_id ? `#/jobs/${trial.job_id}` : null,
     strong: best.has(trial.number),
     settings: space.map(([name]) => trial.params[name]),
@@ -69,19 +74,19 @@ function trialRows(study) {
   }));
   const values = (i) => rows.map((row) => row.goals[i]);
   const settings = space.map(([name, parameter]) => axisOf(name, [], parameter));
-  return { rows, settings, goals: study.spec.objectives.map(({ metric }, i) => axisOf(words(metric), values(i))) };
+  return { rows, settings, goals: metrics.map((metric, i) => metricAxis(metric, values(i))) };
 }
 
 /** Parallel coordinates: one line per complete trial through its settings to its first objective. */
-export function coordinates(width, study) {
-  const { rows, settings, goals } = trialRows(study);
+export function coordinates(width, study, metrics) {
+  const { rows, settings, goals } = trialRows(study, metrics);
   const lines = rows.map((row) => ({ ...row, values: [...row.settings, row.goals[0]] }));
   return parallel(width, [...settings, goals[0]], lines, `Settings and ${goals[0].title} of ${rows.length} trials`);
 }
 
 /** The first two objectives of the complete trials against each other; those of the Pareto front stand out. */
-export function front(width, study) {
-  const { rows, goals } = trialRows(study);
+export function front(width, study, metrics) {
+  const { rows, goals } = trialRows(study, metrics);
   const points = rows.map((row) => ({ ...row, values: row.goals }));
   const titles = `${goals[0].title} and ${goals[1].title}`;
   return scatter(width, goals, points, `${titles} of ${rows.length} trials, ${study.best.length} on the Pareto front`);

@@ -5,7 +5,7 @@ import { Chart, PALETTE, smooth } from "../charts.js";
 import { Columns } from "../columns.js";
 import { chartOptions, X_AXES } from "../curves.js";
 import { common, descriptions, nameOf } from "../descriptions.js";
-import { fill, h, heading, icon, scroller, table } from "../dom.js";
+import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { headline, meanProfile, profile, representative } from "../evaluation.js";
 import { Figure, resultLines } from "../figures.js";
 import { compact, csv, integer, metricText, shownUnit, withUnit } from "../format.js";
@@ -74,14 +74,14 @@ function interpolate(xs, ys, x) {
   return a + ((b - a) * (x - xs[low])) / (xs[high] - xs[low]);
 }
 
-/** Mean and standard deviation of several curves on a common grid, where at least half of them have a value. */
+/** Mean and standard deviation of several curves on a common grid, where more than half of them have a value. */
 export function band(curves, grid) {
   const mean = [];
   const low = [];
   const high = [];
   for (const x of grid) {
     const values = curves.map(([xs, ys]) => interpolate(xs, ys, x)).filter((v) => v !== null);
-    if (values.length * 2 < curves.length || !values.length) {
+    if (values.length * 2 <= curves.length) {
       mean.push(null);
       low.push(null);
       high.push(null);
@@ -151,34 +151,49 @@ class CompareView {
       signal: this.signal,
       onEvent: (type, job) => {
         if (type === "job") this.onJob(job);
+        if (type === "gone") this.onGone(job.id);
         if (type === "ready" || type === "reset") this.reread();
       },
     });
     this.stopTheme = onTheme(() => this.paintTable());
   }
 
-  /** Read all jobs again: changes from before `ready` or `reset` may be missing. */
+  /** Read all jobs again, and metrics that are missing: changes from before `ready` or `reset` were not sent. */
   reread() {
-    for (const { job } of this.items)
-      call(`jobs/${encodeURIComponent(job.id)}`, { signal: this.signal }).then(
-        (changed) => this.onJob(changed),
-        () => {
-          /* it was deleted, or the next change shows it */
-        },
-      );
+    for (const { job, metrics } of this.items) {
+      const path = `jobs/${encodeURIComponent(job.id)}`;
+      const read = async () => {
+        const changed = await call(path, { signal: this.signal });
+        if (latest(changed).step !== metrics.step.at(-1)) metrics.load(await this.metrics(path));
+        this.onJob(changed);
+      };
+      read().catch((error) => error.status === 404 && this.onGone(job.id));
+    }
+  }
+
+  /** Leave out a job that was deleted. */
+  onGone(id) {
+    const item = this.items.find((each) => each.job.id === id);
+    if (!item) return;
+    toast(`${item.job.name} was deleted.`);
+    this.remove(id, { replace: true });
   }
 
   async item(id) {
     const path = `jobs/${encodeURIComponent(id)}`;
-    const get = (p, params = {}) => call(`${p}${query(params)}`, { signal: this.signal });
-    const [job, metrics, evaluation] = await Promise.all([
-      get(path),
-      get(`${path}/metrics`, { max_points: 1500 }),
+    const [job, columns, evaluation] = await Promise.all([
+      call(path, { signal: this.signal }),
+      this.metrics(path),
       this.evaluation(id),
     ]);
-    const columns = new Columns();
-    columns.load(metrics.columns);
-    return { job, metrics: columns, evaluation };
+    const metrics = new Columns();
+    metrics.load(columns);
+    return { job, metrics, evaluation };
+  }
+
+  /** Columns of a job's metrics. */
+  async metrics(path) {
+    return (await call(`${path}/metrics${query({ max_points: 1500 })}`, { signal: this.signal })).columns;
   }
 
   /** Evaluation that is shown for a job; null without one. */
@@ -775,12 +790,13 @@ class CompareView {
     if (wanted.startsWith("job_")) this.open([...new Set([...this.ids, wanted])]);
   }
 
-  remove(id) {
-    this.open(this.ids.filter((x) => x !== id));
+  remove(id, how) {
+    this.ids = this.ids.filter((x) => x !== id);
+    this.open(this.ids, how);
   }
 
-  open(ids) {
-    this.go(`/compare${query({ jobs: ids.join(","), by: this.by === "none" ? null : this.by })}`);
+  open(ids, how) {
+    this.go(`/compare${query({ jobs: ids.join(","), by: this.by === "none" ? null : this.by })}`, how);
   }
 
   csv() {

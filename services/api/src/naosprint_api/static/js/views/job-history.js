@@ -2,7 +2,7 @@
 
 import { call, query } from "../api.js";
 import { fill, h } from "../dom.js";
-import { clock, duration, stamp, withUnit, words } from "../format.js";
+import { clock, day, duration, stamp, withUnit, words } from "../format.js";
 import { shownMetric } from "../jobs.js";
 import { isEnded, STATES, stateBadge, tone } from "../states.js";
 
@@ -54,7 +54,6 @@ export class HistoryTab {
     }
     fill(this.spans, this.bar(events, job));
     let attempt = null;
-    const day = (at) => new Date(at).toLocaleDateString("en-GB", { day: "numeric", month: "short" });
     const today = day(new Date());
     fill(
       this.list,
@@ -66,11 +65,7 @@ export class HistoryTab {
           "li",
           { "data-tone": toneOf(e), "data-kind": e.kind, class: mark ? "first" : null },
           h("span", { class: "what" }, known, e.attempt ? h("span", { class: "unit" }, `attempt ${e.attempt}`) : null),
-          h(
-            "time",
-            { datetime: e.at, title: stamp(e.at) },
-            day(e.at) === today ? clock(e.at) : `${day(e.at)}, ${clock(e.at)}`,
-          ),
+          h("time", { datetime: e.at, title: stamp(e.at) }, day(e.at) === today ? clock(e.at) : stamp(e.at)),
           e.message && e.message.toLowerCase() !== known.toLowerCase() ? h("span", { class: "more" }, e.message) : null,
         );
       }),

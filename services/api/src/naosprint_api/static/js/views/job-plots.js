@@ -3,9 +3,9 @@
 import { PALETTE } from "../charts.js";
 import { fill, h, icon, scroller } from "../dom.js";
 import { Figure } from "../figures.js";
-import { integer, metricText, shownUnit, words } from "../format.js";
+import { integer, titled, words } from "../format.js";
 import { namesOf, valueIn } from "../jobs.js";
-import { axisOf, missing, parallel, scatter } from "../plots.js";
+import { axisOf, metricAxis, missing, parallel, scatter } from "../plots.js";
 
 /** Most axes that are chosen at first, besides the result. */
 const FIRST_AXES = 4;
@@ -25,25 +25,20 @@ function offered(jobs, metrics) {
   const live = new Set(jobs.flatMap((job) => Object.keys(job.latest_metrics ?? {})));
   const settings = names.filter((name) => !results.has(name) && !live.has(name));
   // those that most jobs have, with the most values, tell most
-  const has = new Map(settings.map((name) => [name, jobs.filter((job) => !missing(valueIn(job, name))).length]));
+  const has = new Map(names.map((name) => [name, jobs.filter((job) => !missing(valueIn(job, name))).length]));
+  const common = (a, b) => has.get(b) - has.get(a);
   const values = new Map(settings.map((name) => [name, distinct(jobs, name).size]));
   const differing = settings
     .filter((name) => values.get(name) > 1)
-    .sort((a, b) => has.get(b) - has.get(a) || values.get(b) - values.get(a));
+    .sort((a, b) => common(a, b) || values.get(b) - values.get(a));
   return {
-    Results: [...results].filter((name) => names.includes(name) && metrics.has(name)),
+    Results: [...results].filter((name) => names.includes(name) && metrics.has(name)).sort(common),
     "Settings that differ": differing,
     Metrics: names.filter((name) => live.has(name) && !results.has(name)),
     Job: FIELDS,
     "Other settings": settings.filter((name) => !differing.includes(name)),
   };
 }
-
-/** What writes values of a metric, if need be with `more` digits than usual. */
-const textOf =
-  (metric) =>
-  (value, more = 0) =>
-    metricText({ ...metric, digits: (metric.digits ?? 2) + more }, value);
 
 /** Descriptions of the results and metrics of the jobs by name. */
 function described(jobs, known) {
@@ -113,14 +108,14 @@ export class JobPlots {
 
   titleOf(name) {
     const metric = this.metrics.get(name);
-    if (metric) return [metric.title ?? words(name), shownUnit(metric)].filter(Boolean).join(", ");
+    if (metric) return titled(metric);
     return FIELDS.includes(name) ? words(name) : last(name);
   }
 
   axis(name) {
     const metric = this.metrics.get(name);
     const values = this.jobs.map((job) => valueIn(job, name));
-    return axisOf(this.titleOf(name), values, metric ? { format: textOf(metric) } : {});
+    return metric ? metricAxis(metric, values) : axisOf(this.titleOf(name), values);
   }
 
   /** The colors of the values of a setting; null for one color. */

@@ -1,7 +1,7 @@
 /** What the tabs of a job share that show one of its evaluations: which one, and the choice of another. */
 
 import { h } from "../dom.js";
-import { integer, stamp } from "../format.js";
+import { integer, minute } from "../format.js";
 
 export class RecordedTab {
   constructor(root, store, { sub, go }) {
@@ -25,7 +25,7 @@ export class RecordedTab {
     const steps = new Map((this.store.checkpoints ?? []).map((c) => [c.id, c.step]));
     const step = (e) =>
       steps.has(e.checkpoint_id) ? `Step ${integer(steps.get(e.checkpoint_id))}` : "Deleted checkpoint";
-    const title = (e) => `${step(e)}, ${integer(e.spec.episodes)} episodes, ${stamp(e.created_at).slice(5, 16)}`;
+    const title = (e) => `${step(e)}, ${integer(e.spec.episodes)} episodes, ${minute(e.created_at)}`;
     const select = h(
       "select",
       {

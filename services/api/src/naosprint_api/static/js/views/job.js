@@ -11,6 +11,7 @@ import {
   integer,
   intervalText,
   metricText,
+  minute,
   percent,
   shortTime,
   shownUnit,
@@ -29,7 +30,7 @@ import { LogTab } from "./job-log.js";
 import { ReplayTab } from "./job-replay.js";
 import { ReportTab } from "./job-report.js";
 import { SpecTab } from "./job-spec.js";
-import { loading, notice } from "./messages.js";
+import { loading, notice, waiting } from "./messages.js";
 
 const MAX_POINTS = 4000;
 const TAIL = 1000;
@@ -322,17 +323,7 @@ class JobView {
       fill(
         this.trouble,
         job.state === "queued" && job.waiting_reason
-          ? h(
-              "div",
-              { style: { "margin-top": "1rem" }, "data-part": "waiting" },
-              notice(
-                "warn",
-                job.not_before && new Date(job.not_before) > Date.now()
-                  ? "Waiting for its time."
-                  : "Waiting for a worker.",
-                `${job.waiting_reason[0].toUpperCase()}${job.waiting_reason.slice(1)}.`,
-              ),
-            )
+          ? h("div", { style: { "margin-top": "1rem" }, "data-part": "waiting" }, waiting(job))
           : job.stalled_since
             ? h(
                 "div",
@@ -340,7 +331,7 @@ class JobView {
                 notice(
                   "warn",
                   "The job has stalled.",
-                  `Its last step was at ${new Date(job.stalled_since).toLocaleTimeString()}. Its worker will stop and retry it.`,
+                  `Its last step was at ${stamp(job.stalled_since)}. Its worker will stop and retry it.`,
                 ),
               )
             : job.error
@@ -427,7 +418,7 @@ class JobView {
         : left !== null
           ? `${duration(left)} left`
           : job.finished_at
-            ? `ended ${stamp(job.finished_at).slice(5, 16)}`
+            ? `ended ${minute(job.finished_at)}`
             : job.attempt > 1
               ? `attempt ${job.attempt}`
               : null,

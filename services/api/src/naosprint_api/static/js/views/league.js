@@ -77,5 +77,5 @@ export async function mount(root, { signal }) {
       ),
     ];
   };
-  return refreshed(box, read, REFRESH_MS);
+  await refreshed(box, read, REFRESH_MS, signal);
 }

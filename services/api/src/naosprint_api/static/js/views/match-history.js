@@ -23,18 +23,12 @@ export class MatchHistory {
 
   /** Read what is new; the end stays in view unless the reader has scrolled up. */
   async refresh() {
-    if (this.reading) return;
-    this.reading = true;
     const atEnd = this.box.scrollHeight - this.box.scrollTop - this.box.clientHeight < 24;
-    try {
-      for (;;) {
-        const path = `${this.path}${query({ limit: PAGE, after: this.last })}`;
-        const { items: events } = await call(path, { signal: this.signal });
-        for (const event of events) this.#add(event);
-        if (events.length < PAGE) break;
-      }
-    } finally {
-      this.reading = false;
+    for (;;) {
+      const path = `${this.path}${query({ limit: PAGE, after: this.last })}`;
+      const { items: events } = await call(path, { signal: this.signal });
+      for (const event of events) this.#add(event);
+      if (events.length < PAGE) break;
     }
     if (atEnd) this.box.scrollTop = this.box.scrollHeight;
   }

@@ -7,7 +7,7 @@ import { bytes, stamp } from "../format.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
 import { GameFilm, GameReplay, LiveGame } from "./game.js";
 import { MatchHistory } from "./match-history.js";
-import { loading, notice, problem } from "./messages.js";
+import { live, loading, notice, waiting } from "./messages.js";
 
 const REFRESH_MS = 1000;
 const ROBOT = "t1";
@@ -84,7 +84,7 @@ function games(match, shown) {
 }
 
 /** Show the page in `root`. */
-export async function mount(root, { id, sub, signal }) {
+export async function mount(root, { id, sub, signal, go }) {
   document.title = "Match · naosprint";
   const head = h("div", { class: "page-head" }, loading("Loading the match"));
   const running = h("section", { class: "card", hidden: true });
@@ -92,9 +92,11 @@ export async function mount(root, { id, sub, signal }) {
   const film = h("section", { class: "card", hidden: true });
   const details = h("div", { class: "stack" });
   const history = new MatchHistory(id, signal);
+  history.element.hidden = true;
   fill(root, head, h("div", { class: "stack" }, running, replay, film, details, history.element));
   const known = await descriptions();
-  let live = null;
+  let match = null;
+  let game = null;
   let recording = null;
   let playing = null;
   let watched = Number(sub) || null;
@@ -106,16 +108,16 @@ export async function mount(root, { id, sub, signal }) {
       button.disabled = true;
       try {
         await call(`matches/${id}/${name}`, { method: "POST" });
-        await draw();
       } catch (error) {
         toast(error.message, "error");
         button.disabled = false;
       }
+      await again();
     });
     return button;
   }
 
-  function paint(match) {
+  function paint() {
     document.title = `${match.teams.join(" – ")} · naosprint`;
     const about = `${match.played} of ${match.games} games, ${match.players} ${match.players === 1 ? "player" : "players"}, 2 × ${match.half_s} s`;
     fill(
@@ -127,7 +129,7 @@ export async function mount(root, { id, sub, signal }) {
     );
     fill(
       details,
-      match.waiting_reason ? notice("info", "The match waits.", match.waiting_reason) : null,
+      waiting(match),
       match.error
         ? notice("error", match.state === "failed" ? "The match failed." : "The last attempt was lost.", match.error)
         : null,
@@ -136,43 +138,33 @@ export async function mount(root, { id, sub, signal }) {
     );
   }
 
-  function watch(match) {
-    const game = match.finished.find((each) => each.number === watched);
-    if (game && !recording) recording = new GameReplay(replay, game.log.url, known.field(ROBOT), signal);
-    if (game?.film && !playing) playing = new GameFilm(film, game.film, signal);
-    replay.hidden = !game;
-    film.hidden = !game?.film;
-    running.hidden = !match.live || Boolean(game);
+  function watch() {
+    const over = match.finished.find((each) => each.number === watched);
+    if (over && !recording) recording = new GameReplay(replay, over.log.url, known.field(ROBOT), signal);
+    if (over?.film && !playing) playing = new GameFilm(film, over.film, signal);
+    replay.hidden = !over;
+    film.hidden = !over?.film;
+    running.hidden = !match.live || Boolean(over);
     if (running.hidden) return;
-    live ??= new LiveGame(running, match.teams, known.field(ROBOT));
-    live.show(match.live).catch((error) => toast(`The running game cannot be shown: ${error.message}`, "error"));
+    game ??= new LiveGame(running, match.teams, known.field(ROBOT));
+    game.show(match.live).catch((error) => toast(`The running game cannot be shown: ${error.message}`, "error"));
   }
 
-  async function draw() {
-    try {
-      const match = await call(`matches/${id}`, { signal });
-      await history.refresh();
-      watch(match);
-      const text = JSON.stringify({ ...match, live: null, watched });
-      if (text !== shown) paint(match);
-      shown = text;
-      return match;
-    } catch (error) {
-      if (error.name !== "AbortError")
-        fill(
-          root,
-          problem(error, () => location.reload()),
-        );
-      return null;
-    }
+  async function read(failed) {
+    match = await call(`matches/${id}`, { signal });
+    history.element.hidden = false;
+    await history.refresh();
+    watch();
+    const text = JSON.stringify({ ...match, live: null, watched });
+    if (failed || text !== shown) paint();
+    shown = text;
+    return !isEnded(match.state);
   }
 
-  await draw();
-  const timer = setInterval(async () => {
-    if (document.hidden) return;
-    const match = await draw();
-    if (!match || isEnded(match.state)) clearInterval(timer);
-  }, REFRESH_MS);
+  const again = await live(head, read, REFRESH_MS, signal, () => {
+    toast(`${match.teams.join(" – ")} was deleted.`);
+    go("/league");
+  });
   return {
     update(where) {
       if (where.id !== id) return false;
@@ -180,12 +172,11 @@ export async function mount(root, { id, sub, signal }) {
       playing?.destroy();
       recording = playing = null;
       watched = Number(where.sub) || null;
-      draw();
+      again();
       return true;
     },
     destroy() {
-      clearInterval(timer);
-      live?.destroy();
+      game?.destroy();
       recording?.destroy();
       playing?.destroy();
     },

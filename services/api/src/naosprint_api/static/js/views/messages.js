@@ -2,20 +2,62 @@
 
 import { ApiError, OfflineError } from "../api.js";
 import { fill, h, icon } from "../dom.js";
+import { minute } from "../format.js";
 
-/** Fill `box` with what `read` resolves to, again every `every` milliseconds if given; failures can be tried again. */
-export async function refreshed(box, read, every) {
-  const draw = async () => {
+/**
+ * Keep a page current until `signal` aborts: `read` is called every `every` milliseconds while it resolves to true and
+ * the page can be seen, and whenever the window gets the focus. Resolves to a function that reads at once.
+ *
+ * @param {Element} box where a failure is shown, until a read succeeds
+ * @param {(failed: boolean) => Promise<boolean>} read draws the page; `failed` if the last read did
+ * @param {number} every
+ * @param {AbortSignal} signal
+ * @param {() => void} gone called when what was shown does not exist any more
+ */
+export async function live(box, read, every, signal, gone) {
+  let found = false;
+  let failed = false;
+  let timer;
+  let turn = Promise.resolve();
+  const step = async () => {
+    let open = true;
     try {
-      fill(box, await read());
+      if (!found || !document.hidden) {
+        open = await read(failed);
+        found = true;
+        failed = false;
+      }
     } catch (error) {
-      if (error.name !== "AbortError") fill(box, problem(error, draw));
+      if (signal.aborted) return;
+      failed = true;
+      open = error.status !== 404;
+      if (open || !found) fill(box, problem(error, again));
+      else gone();
     }
+    clearTimeout(timer);
+    if (open && !signal.aborted) timer = setTimeout(again, every);
   };
-  await draw();
-  const timer = every && setInterval(draw, every);
-  return { destroy: () => clearInterval(timer) };
+  const again = () => {
+    turn = turn.then(step); // one after the other, so that no older answer replaces a newer one
+    return turn;
+  };
+  addEventListener("focus", again, { signal });
+  signal.addEventListener("abort", () => clearTimeout(timer));
+  await again();
+  return again;
 }
+
+/** Fill `box` with what `read` resolves to, again every `every` milliseconds. */
+export const refreshed = (box, read, every, signal) =>
+  live(
+    box,
+    async () => {
+      fill(box, await read());
+      return true;
+    },
+    every,
+    signal,
+  );
 
 /** Grey lines while something loads. */
 export const loading = (label = "Loading") =>
@@ -58,6 +100,15 @@ export function problem(error, retry) {
       h("a", { class: "button", href: "#/" }, "All jobs"),
     ),
   );
+}
+
+/** What queued work waits for; null for other work. */
+export function waiting({ state, waiting_reason: reason, not_before: time }) {
+  if (state !== "queued" || !reason) return null;
+  const later = time && new Date(time) > Date.now();
+  const local = reason.replace(/^(it is to start at ).*? UTC/, `$1${minute(time)}`);
+  const text = `${local[0].toUpperCase()}${local.slice(1)}.`;
+  return notice("warn", later ? "Waiting for its time." : "Waiting for a worker.", text);
 }
 
 /** A short notice inside a page. */

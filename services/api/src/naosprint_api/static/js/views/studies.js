@@ -44,5 +44,5 @@ export async function mount(root, { signal }) {
     const headings = HEADINGS.map((title, i) => heading(title, i > 2));
     return scroller("Studies", table(headings, items.map(row)));
   };
-  return refreshed(box, read, REFRESH_MS);
+  await refreshed(box, read, REFRESH_MS, signal);
 }

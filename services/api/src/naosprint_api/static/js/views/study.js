@@ -1,12 +1,13 @@
 /** One study: its trials, their curves, and how settings affect the objectives. */
 
-import { call } from "../api.js";
+import { call, may } from "../api.js";
 import { PALETTE } from "../charts.js";
-import { confirmDialog, fill, h, heading, scroller, table } from "../dom.js";
+import { descriptions, plain } from "../descriptions.js";
+import { confirmDialog, fill, h, heading, scroller, table, toast } from "../dom.js";
 import { Figure } from "../figures.js";
-import { percent, significant, words } from "../format.js";
-import { coordinates, curves, front } from "../study-figures.js";
-import { loading, notice, problem } from "./messages.js";
+import { percent, significant, titled, words } from "../format.js";
+import { coordinates, curves, front, valueText } from "../study-figures.js";
+import { live, loading, notice } from "./messages.js";
 
 const TONES = {
   running: "blue",
@@ -33,22 +34,26 @@ function ranking(study) {
 }
 
 /** A setting's value as text. */
-const valueText = (value) =>
+const settingText = (value) =>
   typeof value === "number" && !Number.isInteger(value)
     ? significant(value, 4)
     : Array.isArray(value)
       ? value.join(", ")
       : String(value);
 
-function trialTable(study) {
-  const goals = study.spec.objectives.map((goal) => goal.metric);
+function trialTable(study, goals) {
   const names = Object.keys(study.spec.space);
   const ranked = ranking(study);
   const rows = [...ranked, ...study.trials.filter((trial) => !ranked.includes(trial))];
   return scroller(
     "Trials",
     table(
-      [heading("Trial"), heading("State"), [...goals, ...names].map((name) => heading(name, true)), heading("Note")],
+      [
+        heading("Trial"),
+        heading("State"),
+        [...goals.map(titled), ...names].map((name) => heading(name, true)),
+        heading("Note"),
+      ],
       rows.map((trial) =>
         h(
           "tr",
@@ -59,11 +64,11 @@ function trialTable(study) {
             trial.job_id
               ? h("a", { href: `#/jobs/${trial.job_id}` }, `Trial ${trial.number}`)
               : `Trial ${trial.number}`,
-            study.best.includes(trial.number) ? h("span", { class: "tag" }, "best") : null,
+            study.best.includes(trial.number) ? [" ", h("span", { class: "tag" }, "best")] : null,
           ),
           h("td", null, studyBadge(trial.state)),
-          goals.map((_, i) => h("td", { class: "num" }, trial.values ? significant(trial.values[i], 4) : "–")),
-          names.map((name) => h("td", { class: "num" }, name in trial.params ? valueText(trial.params[name]) : "–")),
+          goals.map((goal, i) => h("td", { class: "num" }, valueText(goal, trial.values?.[i]))),
+          names.map((name) => h("td", { class: "num" }, name in trial.params ? settingText(trial.params[name]) : "–")),
           h("td", { class: "soft" }, trial.error ?? ""),
         ),
       ),
@@ -71,8 +76,8 @@ function trialTable(study) {
   );
 }
 
-function importanceTable(study) {
-  const goals = Object.keys(study.importance);
+function importanceTable(study, metrics) {
+  const goals = metrics.filter(({ name }) => name in study.importance);
   if (!goals.length) return null;
   return h(
     "section",
@@ -81,13 +86,13 @@ function importanceTable(study) {
     scroller(
       "Importance",
       table(
-        ["Setting", ...goals].map((title, i) => heading(title, i > 0)),
+        ["Setting", ...goals.map((goal) => goal.title)].map((title, i) => heading(title, i > 0)),
         Object.keys(study.spec.space).map((name) =>
           h(
             "tr",
             null,
             h("th", { scope: "row" }, name),
-            goals.map((goal) => h("td", { class: "num" }, percent(study.importance[goal][name], 0))),
+            goals.map((goal) => h("td", { class: "num" }, percent(study.importance[goal.name][name], 0))),
           ),
         ),
       ),
@@ -95,25 +100,20 @@ function importanceTable(study) {
   );
 }
 
-const figureCard = (title, part, figure) =>
-  h(
-    "section",
-    { class: "card", "data-part": part },
-    h("div", { class: "card-head" }, h("h2", null, title)),
-    figure.element,
-  );
-
 /** Show the page in `root`. */
-export async function mount(root, { id, signal }) {
+export async function mount(root, { id, signal, go }) {
   document.title = "Study · naosprint";
-  const box = h("div", null, loading("Loading the study"));
-  fill(root, box);
-  let figures = [];
-  let shown = "";
+  const head = h("div", { class: "page-head" }, loading("Loading the study"));
+  const body = h("div", { class: "stack" });
+  fill(root, head, body);
+  const known = await descriptions();
+  const plots = new Map();
   const histories = new Map();
+  let shown = "";
+  let study = null;
 
   /** Curves of the best and the open trials over their steps. */
-  async function load(study, metric) {
+  async function load(metric) {
     const open = study.trials.filter((trial) => trial.state === "running");
     const wanted = [...ranking(study), ...open].filter((trial) => trial.job_id).slice(0, MOST_CURVES);
     await Promise.all(
@@ -134,7 +134,7 @@ export async function mount(root, { id, signal }) {
     }));
   }
 
-  async function cancel(study) {
+  async function cancel() {
     const sure = await confirmDialog({
       title: "Cancel the study?",
       body: "Its open jobs are cancelled, too.",
@@ -142,83 +142,86 @@ export async function mount(root, { id, signal }) {
       danger: true,
     });
     if (!sure) return;
-    await call(`studies/${study.id}/cancel`, { method: "POST" });
-    await draw();
+    await call(`studies/${id}/cancel`, { method: "POST" }).catch((error) => toast(error.message, "error"));
+    await again();
   }
 
-  function paint(study, lines, metric) {
-    for (const figure of figures) figure.destroy();
+  /** The card of a plot; it is the same one when the page is painted again, so that the page keeps its height. */
+  function plot([title, part, draw]) {
+    if (!plots.has(part)) {
+      const figure = new Figure(draw);
+      const head = h("div", { class: "card-head" }, h("h2", null, title));
+      const card = h("section", { class: "card", "data-part": part }, head, scroller(title, figure.element));
+      plots.set(part, { figure, card });
+    }
+    const { figure, card } = plots.get(part);
+    figure.draw = draw;
+    figure.redraw();
+    return card;
+  }
+
+  function paint(lines, metric, goals) {
     const ended = study.trials.filter((trial) => trial.state !== "running").length;
-    const goals = study.spec.objectives;
+    const complete = ranking(study).length > 0;
     const parts = [];
     if (!study.spec.elsewhere)
-      parts.push([
-        `Curves of the best trials: ${words(metric)}`,
-        "curves",
-        (width) => curves(width, lines, words(metric)),
-      ]);
-    if (ranking(study).length)
-      parts.push(["Settings and results", "coordinates", (width) => coordinates(width, study)]);
-    if (goals.length > 1 && ranking(study).length)
-      parts.push(["Pareto front", "front", (width) => front(width, study)]);
-    figures = parts.map(([, , drawing]) => new Figure(drawing));
+      parts.push([`Curves of the best trials: ${metric.title}`, "curves", (width) => curves(width, lines, metric)]);
+    if (complete) parts.push(["Settings and results", "coordinates", (width) => coordinates(width, study, goals)]);
+    if (complete && goals.length > 1) parts.push(["Pareto front", "front", (width) => front(width, study, goals)]);
     document.title = `${study.name} · naosprint`;
     fill(
-      box,
+      head,
       h(
         "div",
-        { class: "page-head" },
+        { class: "grow" },
+        h("h1", null, study.name),
         h(
-          "div",
-          { class: "grow" },
-          h("h1", null, study.name),
-          h(
-            "p",
-            { class: "soft" },
-            `${goals.map((goal) => `${words(goal.direction)} ${goal.metric}`).join(", ")} · ${ended} of ${study.spec.trials} trials have ended`,
-          ),
+          "p",
+          { class: "soft" },
+          `${study.spec.objectives.map((goal) => `${words(goal.direction)} ${goal.metric}`).join(", ")} · ${ended} of ${study.spec.trials} trials have ended`,
         ),
-        studyBadge(study.state),
-        study.state === "running" ? h("button", { onclick: () => cancel(study) }, "Cancel") : null,
       ),
+      studyBadge(study.state),
+      may("submit") && study.state === "running" ? h("button", { onclick: cancel }, "Cancel") : null,
+    );
+    fill(
+      body,
       study.error ? notice("error", "The study failed", study.error) : null,
-      parts.map(([title, part], i) => figureCard(title, part, figures[i])),
-      importanceTable(study),
+      parts.map(plot),
+      importanceTable(study, goals),
       h(
         "section",
         { class: "card", "data-part": "trials" },
         h("div", { class: "card-head" }, h("h2", null, "Trials")),
-        trialTable(study),
+        trialTable(study, goals),
       ),
     );
   }
 
-  async function draw() {
-    try {
-      const study = await call(`studies/${id}`, { signal });
-      const live = study.trials.some((trial) => trial.state === "running");
-      const text = JSON.stringify(study);
-      if (text === shown && !live) return study;
-      shown = text;
-      const metric = study.spec.pruning.metric ?? "reward";
-      paint(study, await load(study, metric), metric);
-      return study;
-    } catch (error) {
-      if (error.name !== "AbortError") fill(box, problem(error, draw));
-      return null;
-    }
+  async function read(failed) {
+    study = await call(`studies/${id}`, { signal });
+    const { elsewhere, objectives, pruning } = study.spec;
+    const describe = (name) => (elsewhere ? { ...plain(name), title: name } : known.measured(study.job.spec, name));
+    const metric = describe(pruning.metric ?? "reward");
+    const lines = await load(metric.name);
+    const text = JSON.stringify([study, lines]);
+    if (failed || text !== shown)
+      paint(
+        lines,
+        metric,
+        objectives.map((goal) => describe(goal.metric)),
+      );
+    shown = text;
+    return [study, ...study.trials].some(({ state }) => state === "running");
   }
 
-  await draw();
-  const timer = setInterval(async () => {
-    if (document.hidden) return;
-    const study = await draw();
-    if (study && study.state !== "running") clearInterval(timer);
-  }, REFRESH_MS);
+  const again = await live(head, read, REFRESH_MS, signal, () => {
+    toast(`${study.name} was deleted.`);
+    go("/studies");
+  });
   return {
     destroy() {
-      clearInterval(timer);
-      for (const figure of figures) figure.destroy();
+      for (const { figure } of plots.values()) figure.destroy();
     },
   };
 }

@@ -98,5 +98,5 @@ export async function mount(root, { signal }) {
     if (may("admin")) headings.push(h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")));
     return scroller("Workers", table(headings, workers.map(row)));
   };
-  return refreshed(box, read, REFRESH_MS);
+  await refreshed(box, read, REFRESH_MS, signal);
 }

@@ -1,0 +1,239 @@
+"""Pages of studies, matches and comparisons: they follow what happens elsewhere, and stay where the reader is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from naojobs.database import notify
+from naojobs.models import Job, MetricsRecord
+
+if TYPE_CHECKING:
+    import httpx
+    from conftest import Browser, Stack
+
+LATER = "2100-01-01T00:00:00Z"
+FOCUS = "dispatchEvent(new Event('focus'))"
+LOSE_ONE_ANSWER = "const real = fetch; window.fetch = () => { window.fetch = real; return Promise.reject(Error()); };"
+
+
+def make_study(client: httpx.Client, *names: str, trials: int = 2) -> str:
+    """Start a study whose trials run elsewhere, over settings with these names."""
+    search = {
+        "elsewhere": True,
+        "space": {name: {"type": "float", "low": 0.9, "high": 0.99} for name in names},
+        "objectives": [{"metric": "jump_m", "direction": "maximize"}],
+        "trials": trials,
+        "parallel": 1,
+    }
+    answer = client.post("/studies", json={"name": "followed", "job": {"spec": {}}, "search": search})
+    found: str = answer.raise_for_status().json()["id"]
+    return found
+
+
+def report(browser: Browser, client: httpx.Client, study: str, value: float) -> None:
+    """Take the next trial of a study and report its value."""
+    asked = browser.until(lambda: client.post(f"/studies/{study}/ask").json().get("number", -1) + 1)
+    client.post(f"/studies/{study}/trials/{asked - 1}/tell", json={"values": [value]}).raise_for_status()
+
+
+@pytest.fixture
+def match(client: httpx.Client) -> str:
+    """A match that waits for its time."""
+    body = {"teams": ["example", "example"], "games": 2, "players": 1, "half_s": 2, "not_before": LATER}
+    found: str = client.post("/matches", json=body).raise_for_status().json()["id"]
+    return found
+
+
+def state(browser: Browser) -> str | None:
+    """Return the state in the head of a page."""
+    return browser.find(".page-head [data-state]").get_attribute("data-state")
+
+
+def test_the_page_of_an_ended_study_follows_its_extension_and_its_deletion(
+    browser: Browser, token: str, client: httpx.Client
+) -> None:
+    study = make_study(client, "gamma")
+    client.post(f"/studies/{study}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.open(f"/studies/{study}")
+    browser.until(lambda: state(browser) == "cancelled")
+    client.post(f"/studies/{study}/extend", json={"trials": 3}).raise_for_status()
+    browser.js(FOCUS)
+    browser.until(lambda: state(browser) == "running", 20)
+    client.post(f"/studies/{study}/cancel").raise_for_status()
+    browser.until(lambda: state(browser) == "cancelled", message="the page does not follow the study that runs again")
+    client.delete(f"/studies/{study}").raise_for_status()
+    browser.allowed.append("404")
+    browser.js(FOCUS)
+    browser.shows("Studies", "h1", 20)
+    browser.shows("followed was deleted.", "#toasts")
+
+
+def test_the_page_of_an_ended_match_follows_its_retry_and_its_deletion(
+    browser: Browser, token: str, client: httpx.Client, match: str
+) -> None:
+    client.post(f"/matches/{match}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.open(f"/matches/{match}")
+    browser.until(lambda: state(browser) == "cancelled")
+    client.post(f"/matches/{match}/retry").raise_for_status()
+    browser.js(FOCUS)
+    browser.until(lambda: state(browser) == "queued", 20)
+    client.post(f"/matches/{match}/cancel").raise_for_status()
+    browser.until(lambda: state(browser) == "cancelled", 20)
+    client.delete(f"/matches/{match}").raise_for_status()
+    browser.allowed.append("404")
+    browser.js(FOCUS)
+    browser.shows("League", "h1", 20)
+    browser.shows("was deleted.", "#toasts")
+
+
+def test_pages_of_studies_and_matches_survive_a_lost_answer(
+    browser: Browser, token: str, client: httpx.Client, match: str
+) -> None:
+    study = make_study(client, "gamma")
+    client.post(f"/studies/{study}/cancel").raise_for_status()
+    browser.sign_in(token)
+    for place, words in ((f"/matches/{match}", "0 of 2 games"), (f"/studies/{study}", "0 of 2 trials")):
+        browser.open(place)
+        browser.shows(words)
+        browser.js(f"{LOSE_ONE_ANSWER} {FOCUS}")
+        browser.shows("The service does not answer")
+        browser.shows(words, timeout_s=20)
+
+
+def test_tables_and_pages_stay_where_they_were_scrolled_to(browser: Browser, token: str, client: httpx.Client) -> None:
+    study = make_study(client, "gamma", "gae_lambda", "clip_range", "ema_decay", trials=3)
+    report(browser, client, study, 1.0)
+    browser.sign_in(token)
+    browser.size(360, 500)
+    browser.open(f"/studies/{study}")
+    table = "document.querySelector('[data-part=trials] .scroll-x')"
+    browser.until(lambda: browser.js("return document.documentElement.scrollHeight - innerHeight") > 50)
+    assert browser.js("return document.documentElement.scrollWidth") == 360
+    before = browser.js(f"{table}.scrollLeft = 60; scrollTo(0, 1e6); return [{table}.scrollLeft, scrollY]")
+    assert before[0] == 60
+    report(browser, client, study, 2.0)
+    browser.shows("2 of 3 trials")
+    left, top = browser.js(f"return [{table}.scrollLeft, scrollY]")
+    assert left == 60
+    assert top == before[1]
+
+
+def test_objectives_have_their_titles_and_units(browser: Browser, token: str) -> None:
+    browser.sign_in(token)
+    found = browser.module(
+        """
+        const { Descriptions } = await import("/ui/js/descriptions.js");
+        const { coordinates, curves, front } = await import("/ui/js/study-figures.js");
+        const results = [
+          { name: "top_speed_mps", title: "Top speed", unit: "m/s", digits: 2 },
+          { name: "fall_rate", title: "Falls", unit: "%", digits: 1 },
+        ];
+        const known = new Descriptions([{ name: "run", results, metrics: [] }]);
+        const study = {
+          spec: { space: { gamma: { low: 0.9, high: 1 } } },
+          best: [0],
+          trials: [
+            { number: 0, state: "complete", params: { gamma: 0.9 }, values: [1, 0.25] },
+            { number: 1, state: "complete", params: { gamma: 1 }, values: [2, 0.5] },
+          ],
+        };
+        const goals = ["top_speed_mps", "fall_rate", "own_m"].map((name) => known.measured({ task: "run" }, name));
+        const line = { label: "Trial 0", token: "--s1", x: [0, 1000], y: [0, 1500] };
+        const drawn = [coordinates(400, study, goals.slice(0, 2)), front(400, study, goals.slice(0, 2)),
+          curves(400, [line], goals[0]), curves(400, [{ ...line, y: [0, 0.5] }], goals[1])];
+        return [goals.map((goal) => goal.title), ...drawn.map((each) => each.textContent)];
+        """
+    )
+    assert found[0] == ["Top speed", "Falls", "Own m"]
+    assert "Top speed, m/s" in found[1]
+    assert "Trial 0: 1, 25" in found[2]
+    assert "Falls, %" in found[2]
+    assert "1,500" in found[3]
+    assert "Top speed, m/s" in found[3]
+    assert "50" in found[4]
+
+
+def test_times_are_local_and_of_one_style(browser: Browser, token: str, client: httpx.Client, match: str) -> None:
+    browser.driver.execute_cdp_cmd("Emulation.setTimezoneOverride", {"timezoneId": "Asia/Tokyo"})
+    try:
+        browser.sign_in(token)
+        browser.open(f"/matches/{match}")
+        browser.shows("Waiting for its time. It is to start at 2100-01-01 09:00 or later.")
+        old, large, whole = browser.module(
+            "const { ago, significant } = await import('/ui/js/format.js');"
+            "return [ago('2020-03-12T20:00:00Z'), significant(-1234.5), significant(999.7)];"
+        )
+        assert old == "2020-03-13"
+        assert (large, whole) == ("\N{MINUS SIGN}1,235", "1,000")
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.setTimezoneOverride", {"timezoneId": ""})
+
+
+def test_a_comparison_reads_what_it_missed_and_leaves_out_what_was_deleted(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client
+) -> None:
+    body: dict[str, Any] = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+    kept, dropped = (client.post("/jobs", json={"name": name, **body}).json()["id"] for name in ("kept", "dropped"))
+    browser.sign_in(token)
+    browser.open(f"/compare?jobs={kept},{dropped}")
+    browser.shows("Live", ".top")
+    browser.until(lambda: len(browser.all("tr[data-job]")) == 2)
+    browser.js("dispatchEvent(new Event('pagehide'))")  # a page without a stream, as one in the background
+    with stack.sessions.begin() as session:
+        for i in range(1, 6):
+            row = MetricsRecord(job_id=kept, attempt=1, step=i * 1000, time_s=float(i), values={"reward": 1.0})
+            session.add(row)
+        session.get_one(Job, kept).latest_metrics = {"step": 5000, "reward": 1.0}
+        notify(session, kept)
+    browser.js("dispatchEvent(new Event('pageshow'))")
+    browser.shows("Live", ".top")
+    table = browser.downloads / "comparison.csv"
+    browser.driver.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(browser.downloads)}
+    )
+
+    def rows() -> list[str]:
+        table.unlink(missing_ok=True)
+        next(e for e in browser.all("button") if e.text == "CSV").click()
+        browser.until(lambda: table.exists() and table.stat().st_size, 5)
+        return table.read_text().splitlines()[1:]
+
+    browser.until(lambda: len(rows()) == 5, 30, "the metrics from the time without a stream are missing")
+    client.post(f"/jobs/{dropped}/cancel").raise_for_status()
+    client.delete(f"/jobs/{dropped}").raise_for_status()
+    browser.until(lambda: len(browser.all("tr[data-job]")) == 1, 20)
+    browser.shows("dropped was deleted.", "#toasts")
+
+
+def test_a_mean_stands_for_more_than_half_of_a_group(browser: Browser) -> None:
+    browser.driver.get(f"{browser.base}/")
+    mean = browser.module(
+        """
+        const { band } = await import("/ui/js/views/compare.js");
+        return band([[[0, 10], [0, 10]], [[0, 5], [4, 4]]], [0, 5, 10]).mean;
+        """
+    )
+    assert mean == [2, 4.5, None]
+
+
+def test_jobs_are_plotted_by_a_result_that_most_of_them_have(browser: Browser) -> None:
+    browser.driver.get(f"{browser.base}/")
+    chosen = browser.module(
+        """
+        const { Descriptions } = await import("/ui/js/descriptions.js");
+        const { JobPlots } = await import("/ui/js/views/job-plots.js");
+        const result = (name) => ({ name, title: name, unit: "m", digits: 2, value: 1 });
+        const job = (seed, ...names) => ({
+          state: "succeeded", spec: { seed }, latest_metrics: null, result: { results: names.map(result) },
+        });
+        const plots = new JobPlots(new Descriptions(), {}, () => {});
+        plots.update([job(1, "own", "shared"), job(2, "shared"), job(3, "shared")]);
+        const { y } = plots.chosen();
+        plots.destroy();
+        return y;
+        """
+    )
+    assert chosen == "shared"
