@@ -25,7 +25,7 @@ NULL_WORDS = frozenset({"none", "null"})
 MAGNITUDES = {"k": 10**3, "m": 10**6, "g": 10**9}
 """Letters after a number that stand for thousands, millions and billions: ``250k``, ``3M``."""
 ALIASES = {"total_steps": ("--steps",)}
-"""Shorter flags of settings, by short name."""
+"""Further flags of settings, by short name."""
 _ABBREVIATED = re.compile(r"(\d{1,12}(?:\.\d{1,12})?) ?([kmg])", re.IGNORECASE)
 _TRUTH = TypeAdapter(bool)
 
@@ -184,9 +184,7 @@ def explain(
         prefix: prefix of those flags.
         where: put before the paths of all other fields.
     """
-    flags = {
-        setting.path: ALIASES.get(prefix + name, (flag_name(name, prefix),))[0] for name, setting in from_flags.items()
-    }
+    flags = {setting.path: flag_name(name, prefix) for name, setting in from_flags.items()}
     lines = []
     for item in error.errors(include_url=False, include_context=False):
         path = tuple(str(part) for part in item["loc"])
