@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sized
 from numbers import Real
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from naosim import kinds, robots
-from naosim.simulator import NativeHandle, RuntimeOptions, Simulator
+from naosim.simulator import NativeHandle, RuntimeOptions, Simulator, Starts
 from naospec.sections import require_plain_names
 
 from naosprint import _compiled
@@ -24,7 +24,6 @@ from naosprint.terms.compiled import compilable, operation
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from naosim.simulator import Starts
     from naospec import TaskSettings, TrainingSpec
 
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
@@ -219,9 +218,8 @@ class Environment:
         Raises:
             ValueError: if they are no poses of the robot, or an episode that begins with one of them ends at once.
         """
-        poses: Any = getattr(starts, "poses_rad", None)
-        shape, joints = np.shape(poses), self.actuation.n_joints
-        if len(shape) != 2 or not shape[0] or shape[1] != joints or not np.isfinite(poses).all():
+        shape, joints = np.shape(starts.poses_rad) if isinstance(starts, Starts) else (), self.actuation.n_joints
+        if len(shape) != 2 or not shape[0] or shape[1] != joints or not np.isfinite(starts.poses_rad).all():
             raise ValueError(
                 f"task {self.task.name}: starts: expected Starts with finite angles of shape (k, {joints}), k from 1, "
                 f"got {type(starts).__name__} of shape {shape}"

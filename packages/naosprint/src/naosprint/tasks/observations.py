@@ -8,7 +8,7 @@ names, and add their own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from naosim.robots.nao import model_of
@@ -297,7 +297,7 @@ class Observer:
                 array[:] = state[name]
 
 
-def require_numbers(values: Any, shape: tuple[int, ...], what: str) -> FloatArray:
+def require_numbers(values: object, shape: tuple[int, ...], what: str) -> FloatArray:
     """Return as float64 what a function of some robots returned, which NumPy would otherwise repeat for all.
 
     Raises:
