@@ -144,15 +144,20 @@ def test_crawlers_learn_to_crawl(tmp_path: Path, recorder: Any) -> None:
     assert plots == {"learning-curve", "trajectories", "frames", "joints"}
 
 
-def test_resuming_continues_bit_for_bit(tmp_path: Path, recorder: Any) -> None:
-    """A simulator with snapshots needs nothing else."""
-    spec = crawl_spec(total_steps=4096)
-    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
+def assert_resumes(folder: Path, recorder: Any, *, total_steps: int, rows: int) -> None:
+    """Check that a training that stops after so many rows of metrics ends as one that does not."""
+    spec = crawl_spec(total_steps=total_steps)
+    whole = train(spec, workdir=folder / "whole", reporter=recorder)
     recorder.rows.clear()
-    half = train(spec, workdir=tmp_path / "half", reporter=recorder, stop=lambda: len(recorder.rows) > 1)
-    rest = train(spec, workdir=tmp_path / "rest", reporter=recorder, resume=half.checkpoint)
+    half = train(spec, workdir=folder / "half", reporter=recorder, stop=lambda: len(recorder.rows) >= rows)
+    rest = train(spec, workdir=folder / "rest", reporter=recorder, resume=half.checkpoint)
     assert half.status == "stopped"
     assert_same(rest.checkpoint, whole.checkpoint)
+
+
+def test_resuming_continues_bit_for_bit(tmp_path: Path, recorder: Any) -> None:
+    """A simulator with snapshots needs nothing else."""
+    assert_resumes(tmp_path, recorder, total_steps=4096, rows=2)
 
 
 @pytest.mark.parametrize(
@@ -218,13 +223,7 @@ def test_what_a_task_keeps_and_measures_may_be_nan_where_a_training_resumes(
             return np.full((len(rows), 1), np.nan)
 
     monkeypatch.setattr(sys.modules[__name__], "Crawl", Unseen)
-    spec = crawl_spec(total_steps=8192)
-    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
-    recorder.rows.clear()
-    half = train(spec, workdir=tmp_path / "half", reporter=recorder, stop=lambda: len(recorder.rows) > 4)
-    rest = train(spec, workdir=tmp_path / "rest", reporter=recorder, resume=half.checkpoint)
-    assert half.status == "stopped"
-    assert_same(rest.checkpoint, whole.checkpoint)
+    assert_resumes(tmp_path, recorder, total_steps=8192, rows=5)
 
 
 def test_an_episode_that_diverges_in_every_run_ends_the_evaluation(
