@@ -30,8 +30,8 @@ demo: $(INSTALLED)  ## train a real sprint job on this machine, watch it, evalua
 up: $(INSTALLED)  ## start API, worker, Postgres, broker and dashboard on this machine; Ctrl-C stops them
 	$(BIN)/naoctl up
 
-# N=4 fills the time in which tests wait on two cores; it needs 3 GB more.
-N := 2
+# Processes of the tests: one more than cores, which fills the time in which tests wait. Each needs up to 1.5 GB.
+N := $(shell n=$$(($$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 1) + 1)); echo $$((n < 6 ? n : 6)))
 test: $(INSTALLED)  ## unit and integration tests with real Postgres, broker, store and processes (under 20 minutes)
 	$(BIN)/python -m pytest -m "not e2e" -n $(N) --dist loadfile --no-loadscope-reorder
 

@@ -1,8 +1,9 @@
-"""Rows that a worker writes in batches, one at a time."""
+"""Rows that a worker writes in batches, one at a time, and rows that the database refuses to change."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from naojobs.database import Sessions
@@ -10,6 +11,7 @@ from naojobs.leases import Lease
 from naojobs.models import Evaluation
 from naojobs.records import Batch, EventRecord, MetricsRow, StoredCheckpoint, write
 from naojobs.submission import EvaluationRequest, submit_evaluation
+from sqlalchemy import text
 
 
 def append_metrics(sessions: Sessions, lease: Lease, rows: Sequence[Mapping[str, float]]) -> None:
@@ -37,3 +39,18 @@ def record_checkpoint(sessions: Sessions, lease: Lease, *, step: int, key: str, 
 def request_evaluation(sessions: Sessions, job_id: str, **fields: Any) -> Evaluation:
     """Submit an evaluation of a job, with the given fields of the request; return it."""
     return submit_evaluation(sessions, job_id, EvaluationRequest(**fields))[0]
+
+
+@contextmanager
+def refusing(sessions: Sessions, table: str, condition: str) -> Iterator[None]:
+    """Make the database refuse changes of rows, as if they were locked for longer than a statement waits."""
+    refuse = "CREATE FUNCTION refuse() RETURNS trigger AS 'BEGIN RAISE lock_not_available; END' LANGUAGE plpgsql"
+    when = f"BEFORE INSERT OR UPDATE ON {table} FOR EACH ROW WHEN ({condition}) EXECUTE FUNCTION refuse()"
+    with sessions.begin() as session:
+        session.execute(text(refuse))
+        session.execute(text(f"CREATE TRIGGER refuse {when}"))
+    try:
+        yield
+    finally:
+        with sessions.begin() as session:
+            session.execute(text("DROP FUNCTION refuse CASCADE"))

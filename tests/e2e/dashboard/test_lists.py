@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from naojobs.ids import new_id
+from naojobs.models import Job
+from sqlalchemy import delete, insert
+
 if TYPE_CHECKING:
     import httpx
-    from conftest import Browser
+    from conftest import Browser, Stack
 
 WAITING: dict[str, Any] = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
 """A job that no worker of the tests takes: none runs servers."""
@@ -210,3 +214,27 @@ def test_a_thousand_jobs_stay_light(browser: Browser, token: str, client: httpx.
     browser.js("scrollTo(0, document.documentElement.scrollHeight)")
     browser.shows("part-0-seed-0", "tbody:nth-of-type(2)")
     assert browser.js("return document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_a_list_without_the_oldest_jobs_says_so(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client
+) -> None:
+    job = park(client, "first")
+    with stack.sessions.begin() as session:
+        row = {column.name: getattr(session.get_one(Job, job), column.name) for column in Job.__table__.columns}
+        session.execute(insert(Job), [{**row, "id": new_id("job"), "name": f"copy-{i}"} for i in range(5000)])
+    try:
+        browser.sign_in(token)
+        browser.shows("The newest 5,000. Filters list older ones.", ".page-head", 60)
+        browser.find("input[type=search]").send_keys("first")
+        browser.until(lambda: listed(browser) == ["first"], message="a filter does not list older jobs")
+        assert browser.text(".page-head [role=status]") == "1"
+    finally:
+        with stack.sessions.begin() as session:
+            session.execute(delete(Job).where(Job.name.startswith("copy-")))
+
+
+def test_a_reader_is_offered_no_new_jobs(browser: Browser, stack: Stack) -> None:
+    browser.sign_in(stack.make_token("reader-of-nothing", "read"))
+    browser.shows("No jobs yet")
+    assert not browser.all("a[href^='#/submit']")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from naojobs.database import notify
-from naojobs.models import Job, MetricsRecord
+from naojobs.ids import new_id
+from naojobs.models import Job, Log, Match, MatchEvent, MetricsRecord, Study
+from sqlalchemy import func, insert
 
 if TYPE_CHECKING:
     import httpx
@@ -237,3 +240,165 @@ def test_jobs_are_plotted_by_a_result_that_most_of_them_have(browser: Browser) -
         """
     )
     assert chosen == "shared"
+
+
+def copies(row: Study | Match, count: int) -> list[dict[str, Any]]:
+    """Return the columns of a row `count` times, each with an id of its own."""
+    kept = {column.name: getattr(row, column.name) for column in row.__table__.columns}
+    return [{**kept, "id": new_id(row.id.split("_")[0])} for _ in range(count)]
+
+
+def test_older_studies_and_matches_are_shown_on_request(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, match: str
+) -> None:
+    study = make_study(client, "gamma")
+    client.post(f"/studies/{study}/cancel").raise_for_status()
+    client.post(f"/matches/{match}/cancel").raise_for_status()
+    with stack.sessions.begin() as session:
+        for kind, made in ((Study, study), (Match, match)):
+            session.execute(insert(kind), copies(session.get_one(kind, made), 250))
+    browser.sign_in(token)
+    for place, link in (("/studies", "studies"), ("/league", "matches")):
+        browser.open(place)
+        rows = f"td a[href^='#/{link}/']"
+        browser.until(lambda rows=rows: browser.all(rows))
+        while len(browser.all(rows)) < 251:
+            shown = len(browser.all(rows))
+            browser.shows(f"The newest {shown} are shown.")
+            browser.find("[data-action=older]").click()
+            browser.until(lambda rows=rows, shown=shown: len(browser.all(rows)) > shown)
+        assert not browser.all("[data-action=older]")
+        assert browser.all(f"a[href='#/{link}/{study if link == 'studies' else match}']"), "the oldest is missing"
+        browser.js(FOCUS)
+        browser.until(lambda rows=rows: len(browser.all(rows)) == 251, message="a new answer hides the older ones")
+
+
+def test_a_study_is_extended_and_deleted_on_its_page(browser: Browser, token: str, client: httpx.Client) -> None:
+    study = make_study(client, "gamma")
+    report(browser, client, study, 1.0)
+    client.post(f"/studies/{study}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.open(f"/studies/{study}")
+    browser.find("[data-action=extend]").click()
+    assert browser.find("#study-trials").get_attribute("value") == "12"
+    browser.set("#study-trials", "4")
+    browser.find("dialog [type=submit]").click()
+    browser.until(lambda: state(browser) == "running")
+    browser.shows("of 4 trials")
+    assert not browser.all("[data-action=delete]")
+    browser.find("[data-action=cancel]").click()
+    browser.find("dialog .danger").click()
+    browser.until(lambda: state(browser) == "cancelled")
+    browser.find("[data-action=delete]").click()
+    browser.find("dialog [value=no]").click()
+    assert client.get(f"/studies/{study}").status_code == 200
+    browser.find("[data-action=delete]").click()
+    browser.find("dialog .danger").click()
+    browser.shows("followed was deleted.", "#toasts")
+    browser.shows("No studies yet")
+
+
+def test_an_extension_that_the_service_refuses_says_why(browser: Browser, token: str, client: httpx.Client) -> None:
+    gamma = {"type": "float", "low": 0.9, "high": 0.99}
+    search = {"sampler": "population", "population": 4, "trials": 8, "parallel": 1, "space": {"gamma": gamma}}
+    job = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+    body = {"name": "grown", "job": job, "search": {**search, "pruning": {"name": "none"}}}
+    study = client.post("/studies", json=body).raise_for_status().json()["id"]
+    client.post(f"/studies/{study}/cancel").raise_for_status()
+    answer = client.post(f"/studies/{study}/extend", json={"trials": 7})
+    assert answer.status_code == 422
+    browser.sign_in(token)
+    browser.open(f"/studies/{study}")
+    browser.find("[data-action=extend]").click()
+    browser.set("#study-trials", "7")
+    browser.allowed.append("422")
+    browser.find("dialog [type=submit]").click()
+    browser.shows(answer.json()["errors"][0]["message"], "dialog")
+
+
+def test_a_match_is_deleted_on_its_page_and_only_by_those_who_may(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, match: str, request: pytest.FixtureRequest
+) -> None:
+    study = make_study(client, "gamma")
+    client.post(f"/studies/{study}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.open(f"/matches/{match}")
+    browser.find("[data-action=cancel]")
+    assert not browser.all("[data-action=delete]"), "only matches that have ended can be deleted"
+    browser.find("[data-action=cancel]").click()
+    browser.until(lambda: state(browser) == "cancelled")
+    browser.find("[data-action=delete]")
+    reader = stack.make_token(f"owner-{request.node.name[:80]}", "read")
+    browser.module("(await import('/ui/js/api.js')).setToken(args[0])", reader)
+    for place in (f"/studies/{study}", f"/matches/{match}"):
+        browser.open(place)
+        browser.until(lambda: state(browser) == "cancelled")
+        assert not browser.all(".page-head button")
+    browser.open("/studies")
+    browser.shows("followed")
+    assert not browser.all(".page-head .primary"), "a study is offered to a reader"
+    browser.module("(await import('/ui/js/api.js')).setToken(args[0])", token)
+    browser.open(f"/matches/{match}")
+    browser.find("[data-action=delete]").click()
+    browser.find("dialog .danger").click()
+    browser.shows("was deleted.", "#toasts")
+    browser.shows("No matches yet")
+
+
+def test_lines_of_a_log_are_under_their_day(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, match: str
+) -> None:
+    waiting = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+    job = client.post("/jobs", json={"name": "logged", **waiting}).raise_for_status().json()["id"]
+    times = [datetime(2026, 3, day, 12, tzinfo=UTC) for day in (12, 12, 14)]
+    with stack.sessions.begin() as session:
+        for at in times:
+            session.add(Log(job_id=job, attempt=1, at=at, level="info", message="line"))
+            session.add(MatchEvent(match_id=match, attempt=0, at=at, kind="info", message="line"))
+    browser.sign_in(token)
+    for place in (f"/jobs/{job}/log", f"/matches/{match}"):
+        browser.open(place)
+        browser.shows("2026-03-14", ".log")
+        days = [e.text for e in browser.all(".log .mark") if e.text.startswith("2026-03")]
+        assert days == ["2026-03-12", "2026-03-14"], place
+
+
+def train(stack: Stack, job: str, count: int = 3, **values: float) -> None:
+    """Store rows of metrics of a job."""
+    with stack.sessions.begin() as session:
+        for i in range(1, count + 1):
+            session.add(MetricsRecord(job_id=job, attempt=1, step=i * 1000, time_s=float(i), values=values))
+        row = session.get_one(Job, job)
+        row.latest_metrics = {"step": count * 1000, **values}
+        row.updated_at = func.now()
+        notify(session, job)
+
+
+def test_a_comparison_draws_rewards_of_each_task_and_every_metric(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client
+) -> None:
+    def park(name: str, task: str, robot: str) -> str:
+        spec = {"task": task, "robot": robot, "total_steps": 10_000_000}
+        body = {"name": name, "spec": spec, "evaluation": None, "not_before": LATER}
+        job: str = client.post("/jobs", json=body).raise_for_status().json()["id"]
+        return job
+
+    jobs = [park("saver", "block", "t1"), park("walker", "velocity", "t1"), park("small", "velocity", "k1")]
+    train(stack, jobs[0], reward=100.0, fall_rate=0.5, conceded_rate=0.25)
+    train(stack, jobs[1], reward=1.0, fall_rate=0.1, velocity_error_mps=0.2)
+    browser.sign_in(token)
+    browser.open(f"/compare?jobs={','.join(jobs)}")
+    browser.shows("Live", ".top")
+    titles = browser.until(lambda: [e.text for e in browser.all(".chart h3")])
+    assert [title for title in titles if title.startswith("Reward")] == ["Reward · block", "Reward · velocity"]
+    assert [title for title in titles if title.startswith("Fall")] == ["Falls"], "what tasks share is one chart"
+    assert any(title.startswith("Goals against") for title in titles), "a metric of a chart of two is missing"
+    latest = browser.all("[data-chart='conceded_rate'] .plot, [data-chart='fall_rate'] .plot")
+    assert all("3 points" in (e.get_attribute("aria-label") or "") for e in latest)
+    train(stack, jobs[2], reward=2.0, cpus=1.5)
+    browser.until(
+        lambda: browser.all("[data-chart=cpus]"), message="a metric that came later has no chart until a reload"
+    )
+    browser.open(f"/compare?by=robot&jobs={jobs[1]},{jobs[2]}")
+    browser.until(lambda: browser.all("[data-chart=reward]"))
+    assert "Reward" in [e.text for e in browser.all(".chart h3")], "one task needs no name in the titles"

@@ -23,6 +23,7 @@ def test_a_match_from_the_form_to_its_film(browser: Browser, token: str, client:
     assert options[0] == "example"
     assert "example:walk=t1-run-robust" in options
     assert "example:getup=t1-getup" in options
+    assert "example:keep=t1-keeper" in options
     browser.set("#match-team-b", "example:fly=t1-run")
     browser.set("#match-games", "1")
     browser.set("#match-players", "1")

@@ -176,6 +176,22 @@ def test_mean_and_band_of_curves_with_different_ends(page: Browser) -> None:
     assert high[2] == pytest.approx(11 + 2**0.5)
 
 
+def test_a_band_of_shares_stays_between_none_and_all(page: Browser) -> None:
+    shares, speeds, signed = page.module(
+        """
+        const { band } = await import("/ui/js/views/compare.js");
+        const of = (values, max) => {
+          const b = band(values.map((v) => [[0], [v]]), [0], max);
+          return [b.low[0], b.high[0]];
+        };
+        return [of([0, 0, 1, 1], 1), of([0, 4]), of([-1, 1])];
+        """
+    )
+    assert shares == [0, 1]
+    assert speeds == pytest.approx([0, 2 + 8**0.5])
+    assert signed == pytest.approx([-(2**0.5), 2**0.5])
+
+
 def test_thinned_columns_keep_extremes_ends_and_the_zoomed_part(page: Browser) -> None:
     count, width, spike, low, high = page.module(
         """
@@ -198,6 +214,97 @@ def test_thinned_columns_keep_extremes_ends_and_the_zoomed_part(page: Browser) -
     assert width == 401, "the zoomed part is not complete"
     assert spike == 9
     assert (low, high) == (0, 99_999)
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "low", "high"),
+    [
+        ("%", [0, 0], 0, 1),
+        ("%", [1, 1], 0, 1),
+        ("%", [0.1, 1.5], 0, 1.5),
+        ("m", [0, 0], 0, 1),
+        ("m", [5, 5], 4.5, 5.5),
+        ("m", [0.1, 100], 0, 106.993),
+        ("m", [-3, -3], -3.3, -2.7),
+        ("m", [-100, 0], -107, 0),
+        ("m", [-1, 1], -1.14, 1.14),
+    ],
+)
+def test_axes_cross_zero_only_where_values_do(
+    page: Browser, unit: str, values: list[float], low: float, high: float
+) -> None:
+    shown, study = page.module(
+        """
+        const { Chart } = await import("/ui/js/charts.js");
+        const { chartOptions } = await import("/ui/js/curves.js");
+        const { curves } = await import("/ui/js/study-figures.js");
+        const metric = { name: "y", title: "Y", unit: args[0], digits: 1 };
+        const options = chartOptions({ key: "y", title: "Y", metrics: [metric], refs: [] });
+        const chart = new Chart({ ...options, series: [{ label: "y", token: "--s1" }] });
+        document.getElementById("main").replaceChildren(chart.element);
+        chart.setData([[0, 1], args[1]]);
+        while (!chart.u) await new Promise((r) => requestAnimationFrame(r));
+        await new Promise((r) => requestAnimationFrame(r));
+        const { min, max } = chart.u.scales.y;
+        chart.destroy();
+        const line = { label: "", token: "--s1", x: [0, 1], y: args[1] };
+        const ticks = [...curves(400, [line], metric).querySelectorAll("text[text-anchor=end]")];
+        return [[min, max], ticks.map((e) => Number(e.textContent.replace("\u2212", "-")))];
+        """,
+        unit,
+        values,
+    )
+    assert shown == pytest.approx([low, high])
+    scale = 100 if unit == "%" else 1
+    assert low * scale <= min(study), "ticks of a study's curves"
+    assert max(study) <= high * scale
+
+
+def test_a_single_value_is_drawn_and_ticks_differ(page: Browser) -> None:
+    drawn, hidden, texts, circles = page.module(
+        """
+        const { Chart } = await import("/ui/js/charts.js");
+        const { compact, distinct } = await import("/ui/js/format.js");
+        const { curves } = await import("/ui/js/study-figures.js");
+        const paint = async (series) => {
+          const chart = new Chart({ title: "Y", series });
+          document.getElementById("main").replaceChildren(chart.element);
+          const columns = series.map((_, i) => [null, 1 + i, null]);
+          chart.setData([[0, 1, 2], ...columns]);
+          while (!chart.u) await new Promise((r) => requestAnimationFrame(r));
+          await new Promise((r) => requestAnimationFrame(r));
+          const { left, top, width, height } = chart.u.bbox;
+          const { data } = chart.u.ctx.getImageData(left, top, width, height);
+          chart.destroy();
+          return data.reduce((sum, v, i) => sum + (i % 4 === 0 && v < 100 && data[i + 3] > 200), 0);
+        };
+        const line = { label: "y", token: "--s1" };
+        const metric = { name: "y", title: "Y", unit: "m", digits: 1 };
+        const figure = curves(400, [{ ...line, x: [256], y: [1] }], metric);
+        return [
+          await paint([line]),
+          await paint([{ ...line, hidden: true }]),
+          [distinct([2.7181, 2.7182], compact), distinct([10_150, 10_160], compact), distinct([1, 2], compact)],
+          figure.querySelectorAll("circle").length,
+        ];
+        """
+    )
+    assert drawn > 10
+    assert hidden == 0
+    assert texts == [["2.7181", "2.7182"], ["10.15k", "10.16k"], ["1", "2"]]
+    assert circles == 1
+
+
+def test_rewards_on_both_engines_are_one_chart(page: Browser) -> None:
+    titles = page.module(
+        """
+        const { Descriptions } = await import("/ui/js/descriptions.js");
+        const titles = (...columns) => new Descriptions().charts({}, columns).map((c) => c.title);
+        return [titles(), titles("left_to_mujoco", "evaluation_engine_reward", "training_engine_reward", "own")];
+        """
+    )
+    assert "Reward by engine" not in titles[0]
+    assert sorted(set(titles[1]) - set(titles[0])) == ["Own", "Reward by engine", "Substeps left to MuJoCo"]
 
 
 def test_dragging_zooms_all_linked_charts_and_a_double_click_shows_all(page: Browser) -> None:
@@ -495,7 +602,7 @@ def test_what_nobody_describes_is_shown_by_its_name(page: Browser) -> None:
         """
     )
     assert found == [
-        [["Jumps", ["Height"], [{"y": 2, "label": "record"}]], ["My metric", ["My metric"], []]],
+        [["Jumps", ["Height"], [{"y": 2, "label": "record", "metric": "height_m"}]], ["My metric", ["My metric"], []]],
         [["Height m", ["Height m"], []]],
         ["Height"],
     ]

@@ -152,6 +152,17 @@ def test_a_report_opens_without_a_token_and_runs_nothing(
         assert httpx.get(client.base_url.join(f"{opens}/{forged}")).status_code == 404
 
 
+@pytest.mark.parametrize("ahead_s", [300, -700])
+def test_a_ticket_opens_at_a_process_whose_clock_is_another(
+    ahead_s: int, client: httpx.Client, finished_report: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = time.time
+    with monkeypatch.context() as patch:
+        patch.setattr(time, "time", lambda: now() + ahead_s)
+        url = client.post(f"/evaluations/{finished_report}/report").json()["url"]
+    assert httpx.get(client.base_url.join(url)).status_code == 200
+
+
 def test_no_token_signs_a_ticket_by_itself(
     client: httpx.Client,
     make_client: Callable[..., httpx.Client],

@@ -26,7 +26,7 @@ from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
-from tests.integration.writes import append_metrics, record_checkpoint, record_event, request_evaluation
+from tests.integration.writes import append_metrics, record_checkpoint, record_event, refusing, request_evaluation
 
 Sessions = sessionmaker[Session]
 
@@ -417,19 +417,45 @@ def test_a_row_that_cannot_be_requeued_keeps_no_other_from_it(
     with sessions.begin() as session:
         session.execute(text("UPDATE matches SET lease_expires_at = 'epoch' WHERE id = :id"), {"id": refused})
         session.execute(text("UPDATE matches SET lease_expires_at = '2000-01-01' WHERE id = :id"), {"id": lost})
-        refuse = "CREATE FUNCTION refuse() RETURNS trigger AS 'BEGIN RAISE lock_not_available; END' LANGUAGE plpgsql"
-        session.execute(text(refuse))
-        when = "BEFORE UPDATE ON matches FOR EACH ROW WHEN (NEW.priority = 9) EXECUTE FUNCTION refuse()"
-        session.execute(text(f"CREATE TRIGGER refuse {when}"))
-    try:
+    with refusing(sessions, "matches", "NEW.priority = 9"):
         assert [item.id for item in outcomes.requeue_stale(sessions)] == [lost]
         assert f"{refused} is not requeued" in caplog.text
-    finally:
-        with sessions.begin() as session:
-            session.execute(text("DROP FUNCTION refuse CASCADE"))
     assert [item.id for item in outcomes.requeue_stale(sessions)] == [refused]
     for match_id in (refused, lost):
         requests.request_cancel(sessions, Match, match_id)
+
+
+def test_many_rows_that_cannot_be_requeued_keep_no_other_from_it(
+    sessions: Sessions, submit: Callable[..., Job]
+) -> None:
+    jobs = [submit(priority=9) for _ in range(101)]
+    for job in jobs:
+        assert claim_work(sessions, Job, job.id, "w") is not None
+    lost = submit(priority=5).id
+    assert claim_work(sessions, Job, lost, "w") is not None
+    with sessions.begin() as session:
+        session.execute(text("UPDATE jobs SET lease_expires_at = 'epoch' WHERE priority = 9"))
+        session.execute(text("UPDATE jobs SET lease_expires_at = '2000-01-01' WHERE id = :id"), {"id": lost})
+    with refusing(sessions, "jobs", "NEW.priority = 9"):
+        requeued = {item.id for item in outcomes.requeue_stale(sessions)}  # and what other tests have left
+    assert lost in requeued and requeued.isdisjoint(job.id for job in jobs)
+    with sessions.begin() as session:
+        session.execute(text("DELETE FROM jobs WHERE priority = 9"))
+
+
+def test_what_is_written_of_an_attempt_shows_no_internals(sessions: Sessions, running: JobClaim) -> None:
+    """Its traceback shows where in a package it broke, and its end is kept where it is long."""
+    output = f'{"x" * 9000}\n  File "{leases.__file__}", line 3, in f\nOSError: /srv/w/a.npz'
+    outcomes.lose(sessions, running.lease, "OSError: http://store:9000/bucket [SQL: SELECT 1]", output=output)
+    job = get(sessions, running.lease.id)
+    assert job.error == "OSError: (address)"
+    with sessions() as session:
+        line = session.scalars(select(Log.message).where(Log.job_id == job.id)).one()
+        event = session.scalars(select(Event).where(Event.job_id == job.id).order_by(Event.id.desc())).first()
+    assert line.endswith('x\n  File "naojobs/leases.py", line 3, in f\nOSError: …/a.npz') and len(line) == 8000
+    assert event is not None
+    assert event.data["reason"] == "OSError: (address)"
+    assert event.message.startswith("OSError: (address); queued again")
 
 
 def test_a_database_that_does_not_answer_ends_the_search_for_lost_work(

@@ -17,6 +17,8 @@ from naojobs.database import REVISION, alembic_config, downgrade, upgrade
 from naojobs.models import Base
 from sqlalchemy import Engine, create_engine, inspect, text
 
+from tests.ports import reserved_port
+
 MIGRATIONS = Path(__file__).parents[3] / "migrations"
 
 
@@ -171,3 +173,23 @@ def test_migrations_and_tokens_from_a_shell(
     assert "nao_" not in listed
     assert main(["token", "revoke", "token_unknown"]) == 1
     assert "no token token_unknown" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("reachable", [True, False])
+def test_a_shell_command_without_a_database_says_so_in_a_line(
+    reachable: bool, empty: Engine, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It lacks the tables, or does not answer; the statement and the password are not shown."""
+    url = url_of(empty) if reachable else f"postgresql://u:hidden@127.0.0.1:{reserved_port()}/x"
+    monkeypatch.setenv("NAOSPRINT_MODE", "local")
+    monkeypatch.setenv("NAOSPRINT_DATABASE_URL", url)
+    monkeypatch.setenv("NAOSPRINT_BROKER_URL", "redis://127.0.0.1/0")
+    monkeypatch.setenv("NAOSPRINT_ARTIFACT_URL", "file:///nowhere")
+    commands = [["token", "list"], ["backup", "begin"], ["artifacts", "sweep"]]
+    for command in commands if reachable else [*commands, ["migrate", "--directory", str(MIGRATIONS)]]:
+        assert main(command) == 1
+        written = capsys.readouterr().err
+        assert written.startswith("the database failed: ") and written.count("\n") == 1
+        assert ("does not exist" if reachable else "Connection refused") in written
+        assert "hidden" not in written and "SELECT" not in written
+    assert main(["token", "create", "--owner", "a", "--scope", "read", "--days", "1e12"]) == 1

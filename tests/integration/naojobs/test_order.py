@@ -15,6 +15,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import refusing
 
 Sessions = sessionmaker[Session]
 
@@ -38,6 +39,16 @@ def test_a_queued_jobs_priority_decides_once_it_is_changed(sessions: Sessions) -
     requests.request_cancel(sessions, Job, ended.id)
     with pytest.raises(ConflictError, match="it is cancelled"):
         submission.edit(sessions, ended.id, priority=1)
+
+
+def test_a_job_that_the_database_refuses_to_lease_keeps_none_behind_it_waiting(
+    sessions: Sessions, caplog: pytest.LogCaptureFixture
+) -> None:
+    first, second = submit(sessions, priority=9), submit(sessions)
+    with refusing(sessions, "jobs", "NEW.priority = 9"):
+        assert claim_next(sessions) == second.id
+        assert f"{first.id} cannot be claimed" in caplog.text
+    assert claim_next(sessions) == first.id
 
 
 def test_a_job_starts_at_its_time_or_later(sessions: Sessions) -> None:

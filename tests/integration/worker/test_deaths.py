@@ -7,11 +7,13 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from base64 import b64decode
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import naosprint_worker
 import psutil
 import pytest
 from naojobs import registry, requests
@@ -281,7 +283,7 @@ def test_an_error_with_text_of_any_kind_is_recorded_once_and_shows_no_internals(
     text = "no \\0 and no \\udc80: {arguments[0]} of https://store.example/b?key=1 [SQL: SELECT secret]"
     hook = ENDS_THE_PROCESS.format(end=f'raise ValueError(f"{text}")')
     (tmp_path / "sitecustomize.py").write_text(hook, encoding="utf-8")
-    service.start_worker(PYTHONPATH=str(tmp_path), END_AT="learner.npz")
+    worker = service.start_worker(PYTHONPATH=str(tmp_path), END_AT="learner.npz")
     job_id = service.submit(evaluate=False)
     job = service.until_state(job_id, WorkState.FAILED)
     assert (
@@ -289,6 +291,12 @@ def test_an_error_with_text_of_any_kind_is_recorded_once_and_shows_no_internals(
         == "ValueError: no \N{REPLACEMENT CHARACTER} and no \N{REPLACEMENT CHARACTER}: …/learner.npz of (address)"
     )
     assert job.attempt == 1
+    with service.sessions() as session:
+        line = session.scalars(select(Log.message).where(Log.job_id == job_id, Log.level == "error")).one()
+    internals = ("SELECT", "store.example", sys.prefix, str(tmp_path), str(Path(naosprint_worker.__file__).parents[1]))
+    assert [word for word in internals if word in line] == []
+    assert 'File "naosprint_worker/child_process.py", line ' in line
+    assert "[SQL: SELECT secret]" in worker.output() and naosprint_worker.__file__[:-11] in worker.output()
 
 
 def test_a_database_that_fails_while_an_attempt_is_settled_costs_no_second_line_of_the_log(

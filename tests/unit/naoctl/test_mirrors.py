@@ -13,6 +13,7 @@ import pytest
 from naoctl.client import Client
 from naoctl.mirrors import Copy, DownloadMirror, flat, mirror_jobs
 from naoctl.mlflow_mirror import MlflowMirror
+from naoctl.transfer import ATTEMPTS
 from naoctl.wandb_mirror import WandbMirror
 
 Job = dict[str, Any]
@@ -214,6 +215,47 @@ def test_a_file_that_cannot_be_had_costs_only_its_artifact(
         "checkpoint-000000000200",
         "checkpoint-000000000300",
     ]
+
+
+@pytest.mark.parametrize("trouble", [503, None])
+def test_a_file_that_cannot_be_had_for_a_while_is_copied_later(
+    trouble: int | None,
+    server: Any,
+    client: Client,
+    trained: Job,
+    job: Callable[..., Job],
+    mlflow: Callable[[], MlflowMirror],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The store does not answer, or ends each answer early, for longer than a download waits."""
+    monkeypatch.setattr("naoctl.transfer.PAUSE_S", 0.0)
+    path = "/evaluations/evl_1/files/run.mp4"
+    answer, left = server.routes["GET", path], [True] * (2 * ATTEMPTS + 1)
+
+    @server.on("GET", path)
+    def fail(request: Any) -> None:
+        if not left:
+            answer(request)
+            return
+        left.pop()
+        if trouble:
+            request.problem(trouble, "the store does not answer")
+        else:
+            request.send_response(200)
+            request.send_header("content-length", "6")
+            request.end_headers()
+            request.wfile.write(b"a f")
+            request.close_connection = True
+
+    notes: list[str] = []
+    mirror_jobs(client, mlflow, [job()["id"]], note=notes.append, retry_s=0.0)
+    assert [line for line in notes if line.endswith("later") and line.startswith(job()["id"])]
+    mirror = mlflow()
+    (run,) = mirror._client.search_runs([mirror._experiment])
+    assert run.info.status == "FINISHED"
+    assert {item.path for item in mirror._client.list_artifacts(run.info.run_id, "evaluation")} == {
+        f"evaluation/{name}" for name in ("evaluation.json", "report.html", "run.mp4")
+    }
 
 
 def test_without_artifacts_only_numbers_are_copied(

@@ -102,6 +102,7 @@ def test_a_robot_whose_parts_belong_together_is_described() -> None:
         (changed(0, low_rad=float("nan")), "joints: neck: its range is nan to 1; write numbers"),
         (changed(0, low_rad=-float("inf"), high_rad=float("inf")), "neck: its range is -inf to inf; write numbers, or"),
         ({"standing_height_m": 0.0}, "standing_height_m: 0 is no height"),
+        ({"load_shapes": ()}, "load_shapes: () is no function; write one that returns a tuple of Shape"),
         ({"front_axis": 3}, "front_axis: 3 is no column of a rotation; write 0, 1 or 2"),
         ({"camera": T1.camera}, "camera: it turns with the joint 'head_yaw', which is missing; add it, or set camera"),
     ],
@@ -110,6 +111,12 @@ def test_what_does_not_belong_together_is_refused_by_name(changes: dict[str, Any
     with pytest.raises(ValueError, match=r"^robot walker: ") as refused:
         walker(**changes)
     assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("shapes", [None, [], ("torso",)])
+def test_shapes_of_another_type_are_named(shapes: Any) -> None:
+    with pytest.raises(ValueError, match=r"^robot walker: load_shapes: expected a tuple of Shape, got "):
+        _ = walker(load_shapes=lambda: shapes).shapes
 
 
 @pytest.mark.parametrize(

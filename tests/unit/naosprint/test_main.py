@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -11,9 +13,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from naospec import EvaluationSpec, plugins
+from naospec import EvaluationSpec, TrainingSpec, plugins
 from naospec.flat import OPTIONS, settings
 from naosprint.__main__ import _parser, main
+from naosprint.console import ConsoleReporter
 from naosprint.rl.checkpoint import read_manifest
 
 SMALL = [
@@ -253,6 +256,57 @@ def test_interrupt_saves_a_checkpoint(tmp_path: Path, number: signal.Signals) ->
     status, steps, path = output.split()
     assert status == "stopped"
     assert read_manifest(Path(path)).steps == int(steps)
+
+
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [
+        ("evaluate {checkpoint} --episodes 100000 --output {folder}", signal.SIGTERM),
+        ("examine {checkpoint} --episodes 100000 --output {folder}", signal.SIGINT),
+        ("handover --transitions 100000 --output {folder}/handover.json", signal.SIGTERM),
+    ],
+    ids=lambda value: str(value).split()[0],
+)
+def test_an_interrupt_is_one_line_and_leaves_no_file(
+    checkpoint: Path, tmp_path: Path, command: str, number: signal.Signals
+) -> None:
+    """Once the output's folder is there, which is made first."""
+    folder = tmp_path / "output"
+    words = command.format(checkpoint=checkpoint, folder=folder).split()
+    process = subprocess.Popen([sys.executable, "-m", "naosprint", *words], stderr=subprocess.PIPE, text=True)
+    while not folder.exists():
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            pytest.fail(f"ended with {process.wait(0.01)}")
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert errors.strip() == f"stopped by {number.name}; no unfinished file is left"
+    assert process.returncode == 128 + number
+    assert not list(folder.iterdir())
+
+
+def test_a_full_disk_leaves_whole_files_or_those_before(checkpoint: Path, tmp_path: Path) -> None:
+    """Of an evaluation that replaces another, and of an export."""
+    arguments = ["evaluate", str(checkpoint), "--episodes", "2", "--bootstrap-resamples", "100", "--output"]
+    assert main([*arguments, str(tmp_path)]) == 0
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, limits[1]))
+    try:
+        assert main([*arguments, str(tmp_path), "--seed", "8"]) == 1
+        assert main(["export", str(checkpoint), str(tmp_path / "policy"), "--format", "c"]) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
+    assert not list((tmp_path / "policy").iterdir())
+
+
+def test_two_trainings_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Their metrics and checkpoints would mix."""
+    with ConsoleReporter(tmp_path, TrainingSpec.model_validate({"total_steps": 256})):
+        assert main(["train", str(tmp_path), "--total-steps", "256", *SMALL]) == 1
+        assert f"error: {tmp_path}: another process trains in this folder; use another" in capsys.readouterr().err
+        assert not (tmp_path / "metrics.jsonl").read_text()
+    assert main(["train", str(tmp_path), "--total-steps", "256", *SMALL]) == 0
 
 
 def test_another_charset_changes_no_file(checkpoint: Path, tmp_path: Path) -> None:

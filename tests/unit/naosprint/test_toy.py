@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 from naosim.robots import Robot
-from naosim.simulator import ServerLostError, Truth
+from naosim.simulator import ServerLostError, Simulator, Truth
 from naospec import EvaluationSpec, TaskSettings, TrainingSpec, plugins
 from naospec.metrics import Result
 from naosprint import evaluate, train
@@ -262,9 +262,16 @@ def test_a_trace_of_another_width_is_named(tmp_path: Path, monkeypatch: pytest.M
             r"groups: expected each of 16 robots in one, in order, got \(slice\(0, 4, None\),\)",
         ),
         ({"groups": ()}, r"groups: expected each of 16 robots in one, in order, got \(\)"),
-        ({"perceptors": {}}, r"perceptors\['joint_angles'\]: expected an array of shape \(16, 2\), got nothing"),
-        ({"perceptors": {"joint_angles": np.zeros((1, 2))}}, r"perceptors\['joint_angles'\]: .* got shape \(1, 2\)"),
-        ({"truth": Truth(np.zeros((16, 3)), np.zeros((16, 9)))}, r"truth.torso_rotation: .* \(16, 3, 3\), got shape"),
+        ({"perceptors": {}}, r"perceptors\['joint_angles'\]: expected an array of .* of shape \(16, 2\), got nothing"),
+        (
+            {"perceptors": {"joint_angles": np.zeros((1, 2))}},
+            r"perceptors\['joint_angles'\]: .* got float64 of shape \(1, 2\)",
+        ),
+        ({"perceptors": {"joint_angles": [[0.0, 0.0]] * 16}}, r"perceptors\['joint_angles'\]: .* \(16, 2\), got list"),
+        (
+            {"truth": Truth(np.zeros((16, 3)), np.zeros((16, 9)))},
+            r"truth.torso_rotation: .* \(16, 3, 3\), got float64 of",
+        ),
         ({"n": 15}, "simulator crawling: open returned Changed of 15 robots; a Simulator of 16 is needed"),
     ],
 )
@@ -280,6 +287,60 @@ def test_what_a_simulator_lacks_is_named_before_a_training(
 
     monkeypatch.setattr(toy_simulator, "CrawlerSimulator", Changed)
     with pytest.raises(ValueError, match=words):
+        train(crawl_spec(total_steps=1024), workdir=tmp_path, reporter=recorder)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"lost": [False] * 16}, r"Changed: lost: expected an array of flags \(bool\) of shape \(16,\), got list"),
+        ({"lost": np.zeros(16)}, r"Changed: lost: .* got float64 of shape \(16,\)"),
+        (
+            {"foot_forces": lambda self: np.zeros(16)},
+            r"Changed: foot_forces\(\): .* \(16, 2\), got float64 of shape \(16,\)",
+        ),
+        ({"bodies": lambda self: np.zeros((16, 2, 7))}, r"Changed: bodies\(\): .* \(16, 1, 7\), got float64 of shape"),
+        ({"bodies": Simulator.bodies}, r"Changed: bodies\(\): missing, but there are shapes to draw; write it, or"),
+        ({"counters": ["falls"]}, "Changed: counters: expected a mapping of names to numbers, got list"),
+        (
+            {"counters": {"falls": "many"}},
+            "Changed: counters: expected a whole number by a name, got 'many' by 'falls'",
+        ),
+    ],
+)
+def test_what_a_simulator_reports_is_checked_before_a_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorder: Any, change: dict[str, Any], words: str
+) -> None:
+    """Some of it only evaluations and films use, after a long training."""
+    changed = type("Changed", (toy_simulator.CrawlerSimulator,), change)
+    monkeypatch.setattr(toy_simulator, "CrawlerSimulator", changed)
+    with pytest.raises(ValueError, match=words):
+        train(crawl_spec(total_steps=1024), workdir=tmp_path, reporter=recorder)
+    assert not recorder.rows
+
+
+@pytest.mark.parametrize("method", ["starts", "place", "begin", "advance"])
+def test_an_array_that_a_task_adds_late_is_named_before_a_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorder: Any, method: str
+) -> None:
+    """Evaluations reset to their first values the arrays that there are at the beginning."""
+    usual = getattr(Crawl, method)
+    late = {method: lambda self, *given: self.arrays.update(late=np.zeros(self.n)) or usual(self, *given)}
+    monkeypatch.setattr(sys.modules[__name__], "Crawl", type("Late", (Crawl,), late))
+    with pytest.raises(ValueError, match="task crawl: arrays: 'late' was added after __init__; make it there"):
+        train(crawl_spec(total_steps=1024), workdir=tmp_path, reporter=recorder)
+
+
+def test_arrays_of_a_task_without_names_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorder: Any
+) -> None:
+    class Listed(Crawl):
+        def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:
+            super().__init__(parameters, world, seed)
+            self.arrays = [self._before]  # type: ignore[assignment]
+
+    monkeypatch.setattr(sys.modules[__name__], "Crawl", Listed)
+    with pytest.raises(ValueError, match="task crawl: arrays is list; a dict of arrays is needed"):
         train(crawl_spec(total_steps=1024), workdir=tmp_path, reporter=recorder)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from naosprint_worker.outcome import OUTCOME_FILE, Outcome, TrainerExitCode, describe_exit, last_lines, public
+from naosprint_worker.outcome import OUTCOME_FILE, Outcome, TrainerExitCode, describe_exit, last_lines
 
 
 def test_outcome_survives_the_round_trip(tmp_path: Path) -> None:
@@ -25,26 +25,6 @@ def test_a_damaged_outcome_counts_as_none(tmp_path: Path, text: str) -> None:
 
 def test_no_outcome(tmp_path: Path) -> None:
     assert Outcome.read(tmp_path) is None
-
-
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        (
-            "(psycopg.errors.X) no\nDETAIL:  Key (id)=(7)\n[SQL: INSERT INTO jobs]\n[parameters: {}]",
-            "(psycopg.errors.X) no",
-        ),
-        ("writing: IntegrityError: no [SQL: UPDATE jobs SET x = 1", "writing: IntegrityError: no"),
-        ("No such file: '/srv/w 1/work/job_1/a b.npz'", "No such file: '…/a b.npz'"),
-        ("the worker's folder /srv/w/work: disk full", "the worker's folder …/work: disk full"),
-        ("'/a/b' -> '/c/d'; last output: /usr/bin/x: bad", "'…/b' -> '…/d'; last output: …/x: bad"),
-        ("GET http://store:9000/b?X-Amz-Signature=1: 403", "GET (address) 403"),
-        ("postgresql+psycopg://u:p@h/d, file:///srv/a/b", "(address) (address)"),
-        ("7 m/s of 3/4, algorithm.gamma or/and sprint1", "7 m/s of 3/4, algorithm.gamma or/and sprint1"),
-    ],
-)
-def test_an_error_for_users_has_no_internals(text: str, shown: str) -> None:
-    assert public(text) == shown
 
 
 def test_last_lines_reads_only_the_end(tmp_path: Path) -> None:

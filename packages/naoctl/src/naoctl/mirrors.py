@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from naoctl.client import ApiError, Client, Json
-from naoctl.errors import CliError, ExitCode, Unreachable
+from naoctl.errors import CliError, ExitCode
 from naoctl.evaluations import job_evaluation
 from naoctl.follow import ENDED, is_over
 from naoctl.policies import checkpoint_folder, policy_path
@@ -182,11 +182,11 @@ def _passes(error: Exception) -> bool:
     """Return whether an error may pass: one of a tracking system, or of a service that is unavailable."""
     if isinstance(error, ApiError):
         return error.status == 429 or error.status >= 500
-    return isinstance(error, Unreachable) or not isinstance(error, CliError)
+    return not isinstance(error, CliError) or error.code is ExitCode.UNREACHABLE
 
 
 def _attach_artifacts(client: Client, job: Json, copy: Copy, note: Callable[[str], None]) -> None:
-    """Attach a job's newest checkpoint and its evaluation to its copy; files that cannot be had are left out."""
+    """Attach a job's newest checkpoint and its evaluation to its copy; files that are gone or damaged are left out."""
     points = client.every(f"/jobs/{job['id']}/checkpoints")
     newest = max(points, key=lambda point: (point["step"], point["attempt"]), default=None)
     found = [(checkpoint_folder(newest["step"]), newest)] if newest else []
@@ -198,7 +198,7 @@ def _attach_artifacts(client: Client, job: Json, copy: Copy, note: Callable[[str
             try:
                 _download(client, artifact, folder)
             except CliError as error:
-                if isinstance(error, Unreachable):
+                if _passes(error):
                     raise
                 note(f"{job['id']}: {name} is not copied: {error}")
             else:

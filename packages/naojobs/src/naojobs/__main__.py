@@ -10,7 +10,9 @@ from contextlib import nullcontext
 from datetime import timedelta
 from pathlib import Path
 
+import psycopg
 from naospec.files import replacing
+from sqlalchemy.exc import DBAPIError, OperationalError, ProgrammingError
 
 from naojobs import backups
 from naojobs.archive import export_artifacts, import_artifacts, verify_artifacts
@@ -89,29 +91,34 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SETTINGS_ERRORS as error:
         sys.stderr.write(settings_words(error))
         return 2
+    try:
+        return _run(arguments, settings)
+    except (JobError, StoreError, OSError, OverflowError, ValueError) as error:
+        sys.stderr.write(f"{error}\n")
+    except (OperationalError, ProgrammingError, psycopg.OperationalError, psycopg.ProgrammingError) as error:
+        # It does not answer, or lacks a table or a right: a traceback would hide that. Other errors are defects.
+        cause = error.orig if isinstance(error, DBAPIError) else error
+        sys.stderr.write(f"the database failed: {' '.join(str(cause).split())}\n")
+    return 1
+
+
+def _run(arguments: argparse.Namespace, settings: RoleSettings | DatabaseSettings) -> int:
+    """Run a command; return the exit code."""
     if isinstance(settings, RoleSettings):
         create_roles(settings.libpq_url, settings.passwords)
         return 0
     if arguments.command == "migrate":
         migrations = arguments.directory.resolve()
-        try:
-            check_upgrade(settings.sqlalchemy_url, migrations, force=arguments.force or arguments.down)
-        except JobError as error:
-            sys.stderr.write(f"{error}\n")
-            return 1
+        check_upgrade(settings.sqlalchemy_url, migrations, force=arguments.force or arguments.down)
         change = downgrade if arguments.down else upgrade
         change(settings.sqlalchemy_url, migrations, arguments.revision)
         return 0
     if arguments.command == "restore":
         migrations = arguments.directory.resolve()
-        try:
-            if arguments.check:
-                backups.check_restore(settings.sqlalchemy_url, migrations, sys.stdin.buffer)
-                return 0
-            counts = backups.restore(settings.sqlalchemy_url, migrations, sys.stdin.buffer)
-        except JobError as error:
-            sys.stderr.write(f"{error}\n")
-            return 1
+        if arguments.check:
+            backups.check_restore(settings.sqlalchemy_url, migrations, sys.stdin.buffer)
+            return 0
+        counts = backups.restore(settings.sqlalchemy_url, migrations, sys.stdin.buffer)
         sys.stdout.write(json.dumps({"rows": counts}) + "\n")
         return 0
     engine = make_engine(settings.sqlalchemy_url, pool_size=1)
@@ -122,9 +129,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             answer = _backup(arguments, make_sessions(engine))
         else:
             answer = _token(arguments, make_sessions(engine))
-    except (JobError, StoreError, OSError, ValueError) as error:
-        sys.stderr.write(f"{error}\n")
-        return 1
     finally:
         engine.dispose()
     # Nothing else may be written to standard output if the archive is.

@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from naojobs.database import notify
-from naojobs.errors import ConflictError
+from naojobs.errors import ConflictError, public
 from naojobs.models import AnyWork, Evaluation, Event, Job, Log, Match, MatchEvent
 from naojobs.states import ENDED, LEASED, WorkState, can_become
 from naojobs.webhooks import MessageType, publish
@@ -55,6 +55,7 @@ def add_event(session: Session, work: AnyWork, kind: str, message: str, data: Ma
 
     Events of an evaluation are of kind `evaluation` and contain its id and state. Those of a match have no data.
     """
+    message = public(message)
     if isinstance(work, Evaluation):
         event = Event(
             job_id=work.job_id,
@@ -79,7 +80,7 @@ def add_line(session: Session, work: AnyWork, level: str, text: str) -> None:
     """Add a line to the log of a locked job or match; evaluations have none."""
     if isinstance(work, Evaluation):
         return
-    of_attempt = {"attempt": work.attempt, "message": text[:MAX_LOG_CHARS]}
+    of_attempt = {"attempt": work.attempt, "message": public(text)[:MAX_LOG_CHARS]}
     if isinstance(work, Job):
         session.add(Log(job_id=work.id, level=level, **of_attempt))
     else:

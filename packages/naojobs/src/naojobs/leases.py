@@ -22,7 +22,7 @@ from sqlalchemy.orm import Session
 from naojobs.capabilities import Capabilities
 from naojobs.changes import W, add_event, announce, change, lock
 from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
-from naojobs.database import Sessions, is_due, notify, one_statement
+from naojobs.database import Sessions, is_due, is_outage, notify, one_statement
 from naojobs.errors import LeaseLostError
 from naojobs.models import (
     WORK,
@@ -149,27 +149,39 @@ def claim_next(
     """Claim the work of highest priority, the oldest first, that `worker` can run.
 
     Several workers may look at once: each skips the rows that another is claiming. A drained worker claims nothing.
+    Work whose row the database refuses to change waits for the next call, and keeps none behind it from being claimed.
     """
     models = tuple(models)
+    refused: list[str] = []
     while True:
-        with sessions.begin() as session:
-            # The lock lets a drain wait, which then finds what is claimed here.
-            row = select(Worker.drained_at).where(Worker.id == worker).with_for_update(read=True)
-            if session.scalar(row) is not None:
-                return None
-            found: list[AnyWork] = []
-            for model in models:
-                first = (
-                    waiting(model)
-                    .where(capabilities.condition(model))
-                    .order_by(model.priority.desc(), model.queued_at)
-                    .limit(1)
-                )
-                work = session.scalar(first.with_for_update(skip_locked=True))
-                found += [] if work is None else [work]
-            if not found:
-                return None
-            taken = take(session, min(found, key=lambda work: (-work.priority, work.queued_at)), worker, lease_s)
+        chosen = None
+        try:
+            with sessions.begin() as session:
+                # The lock lets a drain wait, which then finds what is claimed here.
+                row = select(Worker.drained_at).where(Worker.id == worker).with_for_update(read=True)
+                if session.scalar(row) is not None:
+                    return None
+                found: list[AnyWork] = []
+                for model in models:
+                    first = (
+                        waiting(model)
+                        .where(capabilities.condition(model), *([model.id.not_in(refused)] if refused else []))
+                        .order_by(model.priority.desc(), model.queued_at)
+                        .limit(1)
+                    )
+                    work = session.scalar(first.with_for_update(skip_locked=True))
+                    found += [] if work is None else [work]
+                if not found:
+                    return None
+                work = min(found, key=lambda work: (-work.priority, work.queued_at))
+                chosen = work.id
+                taken = take(session, work, worker, lease_s)
+        except SQLAlchemyError as error:
+            if chosen is None or is_outage(error):
+                raise
+            logger.exception("%s cannot be claimed", chosen)
+            refused.append(chosen)
+            continue
         if taken is not None:  # else it is no longer queued, and its row has the reason
             return taken
 

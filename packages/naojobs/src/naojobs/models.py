@@ -33,8 +33,9 @@ from sqlalchemy import (
     text,
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, validates
 
+from naojobs.errors import public
 from naojobs.states import EVALUATION_STATES, LEASED, WorkState
 
 DEFAULT_TIME_LIMIT_S = 21_600.0
@@ -147,6 +148,10 @@ class Work:
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
     updated_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+    @validates("error")
+    def _public(self, _name: str, error: str | None) -> str | None:
+        return None if error is None else public(error)
 
 
 class Job(Work, Base):

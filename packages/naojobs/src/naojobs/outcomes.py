@@ -14,9 +14,10 @@ from typing import Any, cast
 from sqlalchemy import ColumnElement, Select, and_, func, or_, select
 from sqlalchemy.orm import Session
 
-from naojobs.changes import add_event, add_line, change, lock
+from naojobs.changes import MAX_LOG_CHARS, add_event, add_line, change, lock
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions, is_outage, one_statement
+from naojobs.errors import public
 from naojobs.leases import DEFAULT_LEASE_S, LONGEST_POSTPONE_S, Lease, hold, hold_as, read_lease_clock
 from naojobs.models import WORK, AnyWork, Evaluation, Event, Job, Match, MetricsRecord, WorkKind, generation, lease_time
 from naojobs.states import LEASED, WorkState
@@ -208,7 +209,7 @@ def _log_output(session: Session, work: AnyWork, output: str) -> None:
     In the transaction that ends the lease: an attempt that is settled again after an error writes nothing twice.
     """
     if output.strip():
-        add_line(session, work, "error", output)
+        add_line(session, work, "error", public(output)[-MAX_LOG_CHARS:])  # an error is at the end
 
 
 def lose(sessions: Sessions, lease: Lease, reason: str, *, output: str = "") -> WorkState:
@@ -235,7 +236,7 @@ def postpone(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
 
 def _lose(session: Session, work: AnyWork, reason: str, *, counts: bool = True) -> WorkState:
     work.failures += counts
-    error = reason
+    error = reason = public(reason)
     delay_s = None
     if work.cancel_requested:
         target, message = WorkState.CANCELLED, f"{reason}; cancelled as requested"
@@ -286,7 +287,7 @@ def requeue_stale(sessions: Sessions, *, lease_s: float = DEFAULT_LEASE_S) -> li
         # A constraint lets leased work, and no other, have an owner: asked in this way, the index of leases serves.
         expired = and_(model.lease_owner.is_not(None), or_(model.lease_expires_at < now, restored))
         with sessions() as session:
-            stale = session.scalars(select(model.id).where(expired).order_by(model.lease_expires_at).limit(100)).all()
+            stale = session.scalars(select(model.id).where(expired).order_by(model.lease_expires_at)).all()
         for work_id in stale:
             try:
                 with sessions.begin() as session:
@@ -309,4 +310,4 @@ def record_notification_failure(sessions: Sessions, job_id: str, error: str) -> 
         job = lock(session, Job, job_id)
         if job is not None:
             message = "the broker could not be reached; the job waits until a free worker polls the queue"
-            add_event(session, job, "notification_failed", message, {"error": error})
+            add_event(session, job, "notification_failed", message, {"error": public(error)})

@@ -23,6 +23,7 @@ from sqlalchemy.orm import Session
 from naojobs.capabilities import Requirements
 from naojobs.changes import MAX_LOG_CHARS, add_event
 from naojobs.database import Sessions, notify
+from naojobs.errors import public
 from naojobs.ids import new_id
 from naojobs.leases import Lease, hold_as
 from naojobs.models import METRICS_SEQ, Checkpoint, Evaluation, Job, Log, MetricsRecord
@@ -150,7 +151,7 @@ def _write_metrics(session: Session, job: Job, metrics: Sequence[MetricsRow]) ->
 
 
 def _log_row(job: Job, line: LogLine) -> dict[str, Any]:
-    message = line.message[:MAX_LOG_CHARS]
+    message = public(line.message)[:MAX_LOG_CHARS]
     level = line.level.lower()[:10]
     return {"job_id": job.id, "attempt": job.attempt, "level": level, "message": message, "logged_at": line.at}
 

@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session
 from naojobs import policies
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
-from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
+from naojobs.errors import ConflictError, InvalidError, NotFoundError, public, within
 from naojobs.idempotency import earlier, hold_names
 from naojobs.ids import new_id
 from naojobs.models import PolicyRecord, Study, StudyState, Trial, TrialState
@@ -217,6 +217,7 @@ def end(session: Session, study: Study, state: StudyState, why: str) -> None:
     """End a locked study in `state`, and the open jobs of its trials."""
     study.state = state
     study.finished_at = func.now()
+    why = public(why)
     study.error = why if state is StudyState.FAILED else None
     trials = [trial for trial in trials_of(session, study.id) if trial.state is TrialState.RUNNING]
     cancel_open(session, [trial.job_id for trial in trials if trial.job_id], f"study {study.name}: {why}")

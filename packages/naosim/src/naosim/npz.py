@@ -1,4 +1,4 @@
-"""Reading of ``.npz`` files without trusting their content."""
+"""``.npz`` files: whole when they are written, and read without trusting their content."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import zipfile
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from naospec.files import open_regular
+from naospec.files import open_regular, replacing
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -26,6 +27,16 @@ _HEADER_READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
+
+
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], *, compressed: bool = True) -> None:
+    """Write arrays to a file, which is replaced at the end or stays as it is.
+
+    Raises:
+        OSError: naming the file, if it cannot be written.
+    """
+    with replacing(path) as file:
+        (np.savez_compressed if compressed else np.savez)(file, allow_pickle=False, **arrays)
 
 
 def read_npz(

@@ -9,10 +9,11 @@ describe it with a :class:`SimulatorKind`, and register the kind under the entry
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from naospec.plugins import SIMULATORS, Plugin
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from naosim.robots.description import PerceptorDescription, Shape
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from contextlib import AbstractContextManager
 
     from naosim.robots import Robot
@@ -599,16 +600,35 @@ class Simulator(ABC):
         if [row for group in self.groups for row in range(*group.indices(n))] != list(range(n)):
             raise ValueError(f"{name}: groups: expected each of {n} robots in one, in order, got {self.groups}")
         perceptors, truth = getattr(self, "perceptors", {}), getattr(self, "truth", None)
-        expected: dict[str, tuple[Any, tuple[int, ...]]] = {
-            f"perceptors[{each.name!r}]": (perceptors.get(each.name), (n, each.width))
-            for each in (*self.robot.perceptors, *self.scene.perceptors)
-        }
-        expected["truth.torso_position"] = getattr(truth, "torso_position", None), (n, 3)
-        expected["truth.torso_rotation"] = getattr(truth, "torso_rotation", None), (n, 3, 3)
-        for what, (array, shape) in expected.items():
-            if np.shape(array) != shape:
-                found = "nothing" if array is None else f"shape {np.shape(array)}"
-                raise ValueError(f"{name}: {what}: expected an array of shape {shape}, got {found}")
+        for each in (*self.robot.perceptors, *self.scene.perceptors):
+            self._require_array(f"perceptors[{each.name!r}]", perceptors.get(each.name), (n, each.width))
+        self._require_array("truth.torso_position", getattr(truth, "torso_position", None), (n, 3))
+        self._require_array("truth.torso_rotation", getattr(truth, "torso_rotation", None), (n, 3, 3))
+
+    def require_reports(self) -> None:
+        """Raise ValueError unless what robots that have been started report has its shape and type."""
+        name, n = type(self).__name__, self.n
+        counters: object = self.counters
+        self._require_array("lost", self.lost, (n,), "b")
+        self._require_array("foot_forces()", self.foot_forces(), (n, 2))
+        if self.shapes and type(self).bodies is Simulator.bodies:
+            raise ValueError(f"{name}: bodies(): missing, but there are shapes to draw; write it, or leave them out")
+        if self.shapes and not self.can_fail:  # poses of servers' robots may need a package that a training does not
+            self._require_array("bodies()", self.bodies(), (n, len(self.shapes), 7))
+        if not isinstance(counters, Mapping):
+            raise ValueError(f"{name}: counters: expected a mapping of names to numbers, got {type(counters).__name__}")
+        for counter, count in counters.items():
+            if not isinstance(counter, str) or not isinstance(count, int | np.integer):
+                raise ValueError(f"{name}: counters: expected a whole number by a name, got {count!r} by {counter!r}")
+
+    def _require_array(self, what: str, array: object, shape: tuple[int, ...], kind: str = "f") -> None:
+        if isinstance(array, np.ndarray) and array.shape == shape and array.dtype.kind == kind:
+            return
+        found = "nothing" if array is None else type(array).__name__
+        if isinstance(array, np.ndarray):
+            found = f"{array.dtype} of shape {array.shape}"
+        numbers = "flags (bool)" if kind == "b" else "floating-point numbers"
+        raise ValueError(f"{type(self).__name__}: {what}: expected an array of {numbers} of shape {shape}, got {found}")
 
     def require_group(self, rows: slice) -> None:
         """Raise ValueError unless ``rows`` is one of :attr:`groups` or all robots."""

@@ -184,7 +184,10 @@ def explain(
         prefix: prefix of those flags.
         where: put before the paths of all other fields.
     """
-    flags = {setting.path: flag_name(name, prefix) for name, setting in from_flags.items()}
+    flags = {
+        setting.path: "/".join((*ALIASES.get(prefix + name, ()), flag_name(name, prefix)))
+        for name, setting in from_flags.items()
+    }
     lines = []
     for item in error.errors(include_url=False, include_context=False):
         path = tuple(str(part) for part in item["loc"])

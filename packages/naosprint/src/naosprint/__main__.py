@@ -10,14 +10,14 @@ import signal
 import subprocess
 import sys
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import naopolicies
 from naosim.simulator import STEP_S, ServerLostError
 from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
-from naospec.files import named_errors
+from naospec.files import named_errors, replacing, write_whole
 from naospec.flags import ALIASES, FlagError, explain, flag_name, help_text, parse_flags, read_switches
 from naospec.flat import nest, settings, settings_of
 from naospec.job_files import JOB_FIELDS, load_job_file
@@ -29,7 +29,7 @@ from naosprint.matches.game import MatchError
 from naosprint.threads import quiet_openmp
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from naospec.flat import Setting
     from pydantic import BaseModel
@@ -57,8 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         run: Callable[[argparse.Namespace], int] = options.run
         # of what is written there, an error of a disk may not name the file
         written = getattr(options, "output", None) or getattr(options, "workdir", None) or Path.cwd()
-        with named_errors(written):
+        with _interruptible(), named_errors(written):
             return run(options)
+    except KeyboardInterrupt as error:
+        number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
+        sys.stderr.write(f"stopped by {number.name}; no unfinished file is left\n")
+        return 128 + number
     except ValidationError as error:
         from_flags = {name: options.settings[name] for name in _given(options)}
         where = f"{options.spec}: spec." if options.spec else ""
@@ -263,6 +267,25 @@ def _usable(output: Path | None, *, folder: bool) -> None:
         (output if folder else output.parent).mkdir(parents=True, exist_ok=True)
 
 
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raise KeyboardInterrupt at SIGTERM, too, so that what was begun is cleaned up; restore both handlers."""
+
+    def interrupt(number: int, frame: object) -> None:
+        del frame
+        raise KeyboardInterrupt(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # which alone receives signals
+        return
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _stop_on_signals() -> threading.Event:
     """Return an event that Ctrl-C and SIGTERM set; a second one ends the process at once."""
     stop = threading.Event()
@@ -361,7 +384,6 @@ def _evaluate(options: argparse.Namespace) -> int:
     spec = EvaluationSpec.model_validate(_given(options))
     checkpoint = naopolicies.resolve(options.checkpoint)
     _usable(options.output, folder=True)
-    stop = _stop_on_signals()
 
     from rich.console import Console
     from rich.progress import Progress
@@ -371,17 +393,12 @@ def _evaluate(options: argparse.Namespace) -> int:
 
     with Progress(transient=True, console=Console(stderr=True)) as progress:
         bar = progress.add_task("episodes", total=spec.episodes)
-        try:
-            evaluation = evaluate(
-                checkpoint,
-                spec,
-                threads=options.threads,
-                progress=lambda done, total: progress.update(bar, completed=done, total=total),
-                stop=stop.is_set,
-            )
-        except InterruptedError as error:
-            sys.stderr.write(f"{error}; nothing was written\n")
-            return 128 + signal.SIGINT
+        evaluation = evaluate(
+            checkpoint,
+            spec,
+            threads=options.threads,
+            progress=lambda done, total: progress.update(bar, completed=done, total=total),
+        )
     if options.output is not None:
         evaluation.save(options.output)
     for warning in evaluation.warnings:
@@ -425,10 +442,10 @@ def _examine(options: argparse.Namespace) -> int:
 
         from naosprint.analysis import figures
 
-        (options.output / "examination.json").write_text(json_text(found.to_dict()), encoding="utf-8")
+        write_whole(options.output / "examination.json", json_text(found.to_dict()))
         if found.ranges:
-            with rc_context(figures.style()):
-                figures.robustness(found.ranges, found.most_failures).savefig(options.output / "robustness.svg")
+            with rc_context(figures.style()), replacing(options.output / "robustness.svg") as file:
+                figures.robustness(found.ranges, found.most_failures).savefig(file, format="svg")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 from typing import TYPE_CHECKING
 
@@ -30,9 +31,8 @@ def listed_text(spec: TrainingSpec, row: Mapping[str, float]) -> list[str]:
 
 def _remove_torn_line(path: Path) -> None:
     """Remove a last line that a full disk has cut, so that the next row begins a line of its own."""
-    if path.exists():
-        with path.open("r+b") as stream:
-            stream.truncate(stream.read().rfind(b"\n") + 1)
+    with path.open("r+b") as stream:
+        stream.truncate(stream.read().rfind(b"\n") + 1)
 
 
 class ConsoleReporter:
@@ -41,13 +41,23 @@ class ConsoleReporter:
     Args:
         workdir: made if it is missing.
         spec: the training, whose task decides which metrics are shown.
+
+    Raises:
+        ValueError: if another process trains in ``workdir``.
     """
 
     def __init__(self, workdir: Path, spec: TrainingSpec) -> None:
         workdir.mkdir(parents=True, exist_ok=True)
         self._path = workdir / "metrics.jsonl"
-        _remove_torn_line(self._path)
         self._file = self._path.open("a", buffering=1, encoding="utf-8")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the process ends, however it does
+        except BlockingIOError:
+            self._file.close()
+            raise ValueError(f"{workdir}: another process trains in this folder; use another one") from None
+        except OSError:
+            pass  # a file system without locks
+        _remove_torn_line(self._path)
         self._spec = spec
         self._console = Console(stderr=True)
         self._progress = Progress(

@@ -169,6 +169,12 @@ def changed_jobs(
         return list(session.scalars(statement.order_by(Job.changed_in, Job.id).limit(PAGE)))
 
 
+def seconds(sessions: Sessions) -> float:
+    """Return the time by the database's clock, which all processes share, in seconds since 1970."""
+    with sessions() as session:
+        return float(session.execute(select(func.extract("epoch", func.now()))).scalar_one())
+
+
 def visible_job(sessions: Sessions, principal: Principal, job_id: str) -> Job:
     """Return a job that `principal` may see. Raises NotFoundError, also for jobs of others."""
     with sessions.begin() as session:

@@ -6,7 +6,6 @@ import contextlib
 import enum
 import json
 import os
-import re
 import shutil
 import signal
 from dataclasses import asdict, dataclass
@@ -37,13 +36,6 @@ class TrainerExitCode(enum.IntEnum):
     """It stopped on request and left a checkpoint."""
     FENCED = 76
     """The row no longer belongs to this attempt; nothing may be written any more."""
-
-
-_STATEMENT = re.compile(r"\s*(\[SQL: |\bDETAIL: ).*", re.DOTALL)
-"""What the database's driver and SQLAlchemy append to their messages."""
-_ADDRESS = re.compile(r"\b[A-Za-z][A-Za-z0-9+.-]*://[^\s'\"<>)\]]+")
-_PATH = re.compile(r"(?<![\w./…-])(['\"]?)/(?:(?:(?<=['\"]/)[^'\"\n]*|[^\s'\":;,()]*))/([^\s'\":;,()/]*)")
-"""Absolute path of at least two names, quoted or not; the last name is the second group."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +74,6 @@ class Outcome:
             return cls(code, kind, message, str(data.get("traceback", "")))
         except (OSError, ValueError, KeyError, TypeError):
             return None
-
-
-def public(text: str) -> str:
-    """Return the text of an error for its job, without what only the operator may see.
-
-    Users get no SQL statement, no address of a service and no folder of the worker; the worker's log has the rest.
-    """
-    text = _STATEMENT.sub("", text)
-    text = _ADDRESS.sub("(address)", text)
-    return _PATH.sub(r"\1…/\2", text)
 
 
 def last_lines(path: Path, *, lines: int = 5) -> str:

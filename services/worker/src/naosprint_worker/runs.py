@@ -26,7 +26,7 @@ from naosprint_worker.context import WorkerContext
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.memory import MIB, Share
 from naosprint_worker.orphans import child_marks
-from naosprint_worker.outcome import SERVICE_UNAVAILABLE, TrainerExitCode, describe_exit, public
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, TrainerExitCode, describe_exit
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import Ending, Intent, TrainingSupervisor
@@ -113,7 +113,8 @@ class Run:
                 with self._context.memory.share(self.kind) as self._share:
                     ending = self._supervisor.run()
             except OSError as error:
-                reason = public(f"the {self._program} could not be started: {describe(error)}")
+                reason = f"the {self._program} could not be started: {describe(error)}"
+                logger.warning("%s: %s", self._lease, reason)
                 self._patiently(lambda: outcomes.lose(self._context.sessions, self._lease, reason))
                 return
             self._patiently(self._supervisor.account)
@@ -141,8 +142,9 @@ class Run:
 
     def _settle(self, ending: Ending) -> None:
         """Set the state according to how the child ended."""
-        text = public(describe_ending(self._program, ending))
-        logger.info("%s %s attempt %d: %s", self._lease.kind, self._lease.id, self._lease.attempt, text)
+        text, output = describe_ending(self._program, ending), last_words(ending)
+        whole = f"{text}\n{output}" if output else text  # users get what is public of it
+        logger.info("%s %s attempt %d: %s", self._lease.kind, self._lease.id, self._lease.attempt, whole)
         without_checkpoint = self.kind is WorkKind.JOB and ending.reported is not TrainerExitCode.STOPPED
         where = f" without a last checkpoint ({text})" if without_checkpoint else ""
         if ending.intent is Intent.LEASE_LOST or ending.reported is TrainerExitCode.FENCED:

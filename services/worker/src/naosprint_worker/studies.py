@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from naojobs import requests, studies
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.connections import bounds
-from naojobs.database import Sessions
+from naojobs.database import Sessions, is_outage
 from naojobs.errors import InvalidError
 from naojobs.ids import same_id
 from naojobs.models import Evaluation, Job, MetricsRecord, Study, StudyState, Trial, TrialState
@@ -65,9 +65,9 @@ class Conductor:
     def advance_all(self) -> bool:
         """Advance every running study by one pass; return whether jobs were queued.
 
-        One that cannot be advanced fails, and keeps no other from advancing. Each pass has an order of its own, so that
-        a study for which the database takes too long does not either. An error of the database ends no study: it is
-        raised, and the next pass continues.
+        One that cannot be advanced fails, and one for which the database fails continues with the next pass; neither
+        keeps others from advancing. A database that does not answer ends the pass. Each pass has an order of its own,
+        so that a study that brings this about keeps no others waiting for good.
         """
         with self._sessions() as session:
             running = session.scalars(
@@ -76,13 +76,24 @@ class Conductor:
         queued = False
         for study_id in running:
             try:
-                queued = self.advance(study_id) or queued
+                queued = self._advance_or_end(study_id) or queued
             except Exception as error:
-                if (outage := outage_of(error)) is not None:
-                    raise outage from outage.__cause__  # the driver's
-                logger.exception("study %s cannot be advanced", study_id)
-                self._give_up(study_id, error)
+                cause = outage_of(error) or error
+                if is_outage(cause):
+                    raise cause from cause.__cause__  # the driver's
+                logger.warning("study %s waits for the database: %s", study_id, describe(cause))
         return queued
+
+    def _advance_or_end(self, study_id: str) -> bool:
+        """Advance a study, or end one that cannot be advanced; return whether jobs were queued."""
+        try:
+            return self.advance(study_id)
+        except Exception as error:
+            if outage_of(error) is not None:
+                raise
+            logger.exception("study %s cannot be advanced", study_id)
+            self._give_up(study_id, error)
+        return False
 
     def _give_up(self, study_id: str, error: Exception) -> None:
         """End a study that cannot be advanced; it can be extended when the reason is gone."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from naosprint.matches.commands import add_parsers
 from naosprint.matches.film import HEIGHT_PX, WIDTH_PX, GameFilm, goal_frames, write_game_film
 from naosprint.matches.log import GameLog
 from numpy.typing import NDArray
@@ -77,6 +79,16 @@ def test_a_film_of_a_log_plays_in_real_time(tmp_path: Path) -> None:
     assert (pictures, seconds) == (10, pytest.approx(0.4, abs=0.02))
 
 
+def test_only_a_match_asks_itself_whether_to_stop(tmp_path: Path) -> None:
+    """Ctrl-C ends a film or a report at once."""
+    parser = argparse.ArgumentParser()
+    add_parsers(parser.add_subparsers(), lambda: pytest.fail("signals would be ignored"))
+    for command in ("film", "report"):
+        options = parser.parse_args(["match", command, str(tmp_path / "none.npz")])
+        with pytest.raises(ValueError, match="there is no such log"):
+            options.run(options)
+
+
 def test_a_film_can_be_stopped(tmp_path: Path) -> None:
     class StoppedError(Exception):
         pass
@@ -86,3 +98,4 @@ def test_a_film_can_be_stopped(tmp_path: Path) -> None:
 
     with pytest.raises(StoppedError):
         write_game_film(close_up(), tmp_path / "match.mp4", stop=stop)
+    assert not list(tmp_path.iterdir())

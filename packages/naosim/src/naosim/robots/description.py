@@ -232,7 +232,10 @@ class Robot(Plugin):
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
         """The robot as it is drawn, in the order of ``Simulator.bodies()``; empty if it cannot be drawn."""
-        return self.load_shapes()
+        found = self.load_shapes()
+        if not isinstance(found, tuple) or not all(isinstance(each, Shape) for each in found):
+            raise ValueError(f"robot {self.name}: load_shapes: expected a tuple of Shape, got {found!r:.100}")
+        return found
 
     @cached_property
     def nominal(self) -> Floats:
@@ -249,6 +252,9 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield f"joints: {name!r} is there twice; every joint needs a name of its own"
     if not any(joint.actuated for joint in robot.joints):
         yield "joints: none is actuated; a policy needs one at least that it moves"
+    shapes: object = robot.load_shapes
+    if not callable(shapes):
+        yield f"load_shapes: {shapes!r:.60} is no function; write one that returns a tuple of Shape"
     if not 0.0 < robot.standing_height_m < math.inf:
         yield f"standing_height_m: {robot.standing_height_m:g} is no height; write the torso's, in metres"
     if robot.front_axis not in (0, 1, 2):

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from naosim import kinds
+from naosim.npz import write_npz
 from naosim.simulator import STEP_S, ServerLostError
 from naospec import formats
+from naospec.files import write_whole
 from naospec.json_text import json_text
 from naospec.metrics import EPISODE_METRICS, Result, ResultTable, for_family
 
@@ -73,17 +75,7 @@ class Trajectories:
 
     def save(self, path: Path) -> None:
         """Write the arrays to an ``.npz`` file."""
-        np.savez_compressed(
-            path,
-            x=self.x,
-            y=self.y,
-            height=self.height,
-            left_foot_force=self.left_foot_force,
-            right_foot_force=self.right_foot_force,
-            joint_angles=self.joint_angles,
-            failed=self.failed,
-            cycle_s=np.array(STEP_S),
-        )
+        write_npz(path, {**{each.name: getattr(self, each.name) for each in fields(self)}, "cycle_s": np.array(STEP_S)})
 
 
 @dataclass(frozen=True)
@@ -119,7 +111,7 @@ class EvaluationRun:
         """Write ``evaluation.json``, ``trajectories.npz`` and the replay to ``directory`` and return their paths."""
         directory.mkdir(parents=True, exist_ok=True)
         results, paths = directory / "evaluation.json", directory / "trajectories.npz"
-        results.write_text(self.to_json(), encoding="utf-8")
+        write_whole(results, self.to_json())
         self.trajectories.save(paths)
         return (results, paths, *self.replay.save(directory))
 

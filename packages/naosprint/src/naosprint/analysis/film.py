@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.font_manager import findfont
 from naosim.simulator import STEP_S
+from naospec.files import partial_of, replacing
 from PIL import Image, ImageDraw, ImageFont
 
 from naosprint.analysis.scene import Camera, robot_polygons, scale
@@ -155,22 +156,28 @@ def write_film(path: Path, pictures: Iterable[ByteArray], *, size: tuple[int, in
     except ImportError as error:
         raise OSError("a film needs imageio-ffmpeg: pip install naosprint[film], or omit the film") from error
 
+    partial = partial_of(path)
     writer = imageio_ffmpeg.write_frames(
-        str(path),
+        str(partial),
         size,
         fps=rate,
         codec="libx264",
         quality=None,
         macro_block_size=2,
-        output_params=["-crf", "24", "-preset", "medium", "-movflags", "+faststart"],
+        output_params=["-crf", "24", "-preset", "medium", "-movflags", "+faststart", "-f", "mp4"],
         ffmpeg_log_level="error",
     )
     writer.send(None)
     try:
-        for picture in pictures:
-            writer.send(np.ascontiguousarray(picture))
-    finally:
-        writer.close()
+        try:
+            for picture in pictures:
+                writer.send(np.ascontiguousarray(picture))
+        finally:
+            writer.close()
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def write_gif(replay: Replay, path: Path, *, frames: Sequence[int]) -> None:
@@ -182,7 +189,9 @@ def write_gif(replay: Replay, path: Path, *, frames: Sequence[int]) -> None:
     # one palette for all pictures, so that flat areas do not flicker
     palette = images[0].quantize(96)
     flat = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    flat[0].save(path, save_all=True, append_images=flat[1:], duration=round(2000 * STEP_S), loop=0, optimize=True)
+    duration = round(2000 * STEP_S)
+    with replacing(path) as file:
+        flat[0].save(file, "GIF", save_all=True, append_images=flat[1:], duration=duration, loop=0, optimize=True)
 
 
 def _pictures(replay: Replay, frames: Sequence[int]) -> Iterator[ByteArray]:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from naosim import robots
+from naosim.npz import write_npz
 from naosim.robots.description import Shape, ShapeKind
 from naosim.simulator import STEP_S
-from naospec.files import read_json
+from naospec.files import read_json, write_whole
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -104,16 +105,16 @@ class Replay:
     def save(self, directory: Path) -> tuple[Path, Path]:
         """Write ``replay.json`` and ``replay.npz`` to ``directory`` and return their paths."""
         text, arrays = directory / "replay.json", directory / "replay.npz"
-        text.write_text(self.to_json(), encoding="utf-8")
-        np.savez_compressed(
-            arrays,
-            robot=np.array(self.robot.name),
-            cycle_s=np.array(STEP_S),
-            body_names=np.array([shape.name for shape in self.shapes]),
-            positions=self.positions,
-            rotations=self.rotations,
-            foot_forces=self.foot_forces,
-        )
+        write_whole(text, self.to_json())
+        content = {
+            "robot": np.array(self.robot.name),
+            "cycle_s": np.array(STEP_S),
+            "body_names": np.array([shape.name for shape in self.shapes]),
+            "positions": self.positions,
+            "rotations": self.rotations,
+            "foot_forces": self.foot_forces,
+        }
+        write_npz(arrays, content)
         return text, arrays
 
 

@@ -20,7 +20,7 @@ from naosim import robots
 from naosim.npz import read_npz
 from naosim.simulator import CONTACT_N, STEP_S
 from naospec import TrainingSpec, formats, validation_words
-from naospec.files import read_bounded, read_json
+from naospec.files import read_bounded, read_json, replacing, write_whole
 from naospec.json_text import json_text
 from naospec.metrics import Chart, for_family
 from naospec.sections import require_plain_names
@@ -127,12 +127,13 @@ def write_report(
         write_mp4(replay, directory / "run.mp4", frames=film_frames(replay))
         write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_STEPS, steps)))
     document = {"format": REPORT_FORMAT, "title": title, "evaluation": summary}
-    (directory / "report.json").write_text(json_text(document), encoding="utf-8")
+    write_whole(directory / "report.json", json_text(document))
     environment = Environment(
         loader=PackageLoader("naosprint.analysis"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     page = directory / "report.html"
-    page.write_text(
+    write_whole(
+        page,
         environment.get_template("report.html").render(
             title=title,
             summary=summary,
@@ -143,7 +144,6 @@ def write_report(
             film_caption=film_caption(replay, repeats=tasks.get(spec.task.name).presentation.repeats),
             references=[reference.title for reference in _references(spec)],
         ),
-        encoding="utf-8",
     )
     return page
 
@@ -273,12 +273,13 @@ def _plots(
 
 def _save(figure: Figure, stem: Path) -> str:
     """Write a figure as SVG and PNG and return the SVG as text to put into a page."""
-    figure.savefig(stem.with_suffix(".png"), dpi=150)
+    with replacing(stem.with_suffix(".png")) as file:
+        figure.savefig(file, dpi=150)
     figure.set_layout_engine("none")  # the layout, a third of the time, is that of the PNG
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue()
-    stem.with_suffix(".svg").write_text(text, encoding="utf-8")
+    write_whole(stem.with_suffix(".svg"), text)
     return text[text.index("<svg") :]
 
 
@@ -301,9 +302,9 @@ def _write_tables(
     """Write everything that the plots show as CSV files."""
 
     def write(name: str, header: Sequence[str], lines: Sequence[Sequence[Any]]) -> None:
-        with (directory / f"{name}.csv").open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream)
-            writer.writerows([_cell(value) for value in line] for line in (header, *lines))
+        stream = io.StringIO()
+        csv.writer(stream).writerows([_cell(value) for value in line] for line in (header, *lines))
+        write_whole(directory / f"{name}.csv", stream.getvalue())
 
     if rows:
         names = sorted({name for row in rows for name in row}, key=lambda name: (name != "step", name))

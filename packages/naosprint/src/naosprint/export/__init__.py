@@ -14,7 +14,8 @@ import logging
 import re
 from typing import TYPE_CHECKING
 
-import numpy as np
+from naosim.npz import write_npz
+from naospec.files import write_whole
 from naospec.json_text import json_text
 
 from naosprint.export.arrays import policy_arrays
@@ -82,7 +83,7 @@ def export_policy(
         formats = [each for each in FORMATS if each != "skill" or family in TARGETS]
     if "onnx" in formats:
         try:
-            import onnx
+            graph = build_onnx(policy).SerializeToString()
         except ImportError as error:
             missing = f"{name}.onnx needs onnx: pip install naosprint[export]"
             if requested:
@@ -93,16 +94,16 @@ def export_policy(
     written = []
     if "numpy" in formats:
         written.append(directory / f"{name}.npz")
-        np.savez(written[-1], allow_pickle=False, **policy_arrays(policy, manifest))
+        write_npz(written[-1], policy_arrays(policy, manifest), compressed=False)
     if "onnx" in formats:
         written.append(directory / f"{name}.onnx")
-        onnx.save(build_onnx(policy), written[-1])
+        write_whole(written[-1], graph)
     texts = {f"{name}.json": json_text(describe(policy, manifest))}
     if "c" in formats:
         texts |= {f"{name}.h": build_header(policy, manifest, name), f"{name}_check.c": build_check(policy, name)}
     for file, text in texts.items():
         written.append(directory / file)
-        written[-1].write_text(text, encoding="utf-8")
+        write_whole(written[-1], text)
     if "skill" in formats:
         try:
             written += write_skill(policy, manifest, directory, name)

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from naosim.npz import write_npz
 from naosim.simulator import BALL
 from naospec import EvaluationSpec
+from naospec.files import write_whole
 
 from naosprint.export import booster, nao
 from naosprint.export.arrays import policy_arrays
@@ -122,10 +124,10 @@ def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path, name
         for ours, theirs in named.items():
             text, file = text.replace(ours, theirs), file.replace(ours, theirs)
         written.append(folder / file)
-        written[-1].write_text(text, encoding="utf-8")
+        write_whole(written[-1], text)
     for stem, content in (("policy", arrays), ("parity", recorded)):
         written.append(folder / f"{stem}.npz")
-        np.savez_compressed(written[-1], allow_pickle=False, **content)
+        write_npz(written[-1], content)
     return written
 
 

@@ -28,7 +28,7 @@ REPORT, FILM = "report", "film"
 _TEAM_HELP = "'example', 'example:walk=POLICY,kick=POLICY,keep=POLICY,getup=POLICY', or a folder with team.json"
 
 
-def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
+def play(options: argparse.Namespace, stop_on_signals: Callable[[], Callable[[], bool]]) -> int:
     """Play a match; report on logs if the first word is ``report``, film one if it is ``film``."""
     first, *others = options.teams
     if first == REPORT:
@@ -45,6 +45,7 @@ def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
         limits=Limits(cpu_s=options.cpu_seconds, memory_mb=options.memory_mb),
     )
     names, gate, output = (first, others[0]), Gate(), options.output or Path("match")
+    stop = stop_on_signals()
 
     def played(game: int, log: GameLog) -> None:
         sys.stderr.write(f"game {game}: {log.teams[0]} {log.goals[0]}:{log.goals[1]} {log.teams[1]}\n")
@@ -174,7 +175,7 @@ def add_parsers(commands: Any, stop: Callable[[], Callable[[], bool]]) -> None:
         "does, or if --games were too few",
     )
     match.add_argument("--json", action="store_true", help="print the results as JSON")
-    match.set_defaults(run=lambda options: play(options, stop()))
+    match.set_defaults(run=lambda options: play(options, stop))
     write = commands.add_parser(
         "team", help="write the example team", description="Write the example team to a folder, to change and play it."
     )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import tempfile
 import threading
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from naospec.files import read_json
+from naospec.files import read_json, replacing, write_whole
 
 from naosprint.matches.game import play_game
 from naosprint.matches.log import GameLog
@@ -63,7 +62,7 @@ def own_folder(folder: Path, teams: tuple[Team, Team], settings: GameSettings) -
             raise ValueError(
                 f"{folder}: has {over} games of another match ({what}); name another folder with --output, or remove it"
             )
-    note.write_text(json.dumps(match, indent=2) + "\n", encoding="utf-8")
+    write_whole(note, json.dumps(match, indent=2) + "\n")
     return over
 
 
@@ -116,9 +115,8 @@ def play_match(
             if stop():
                 raise MatchStoppedError
             log = play_game(teams, shown, (game - 1) % 2, settings, on_moment=lambda moment: look(game, moment))
-            with tempfile.TemporaryDirectory(dir=folder) as partial:
-                log.save(Path(partial) / path.name)
-                (Path(partial) / path.name).replace(path)
+            with replacing(path) as file:
+                log.save(file)
         log = GameLog.load(path)  # with the digits of the file, so that a report has the same numbers
         if fresh:
             process(game, log)

@@ -108,6 +108,7 @@ class Environment:
         observed = _listed(self.task, "observation_blocks", ObservationBlock)
         self.observer = Observer(n, observed, parameters.history_steps, privileged)
         require_plain_names("observations", (*self.observer.names, *self.observer.critic_names))
+        _require_arrays(self.task)
         self._kept = self._kept_by_stores()
         self._new = {name: array.copy() for name, array in self._arrays.items()}
         self.rewards: FloatArray = np.zeros(n)
@@ -229,7 +230,14 @@ class Environment:
         self.simulator.load_starts(starts)
         rows = np.arange(min(self.n, len(starts)))
         self.restart(rows, rows)
+        self.simulator.require_reports()
         self.task.advance(slice(0, self.n))
+        _require_arrays(self.task)
+        if added := sorted(self._arrays.keys() - self._new.keys()):
+            raise ValueError(
+                f"task {self.task.name}: arrays: {added[0].removeprefix('task.')!r} was added after __init__; make it "
+                "there, and only change its numbers afterwards"
+            )
         for end, reached in self._ended(slice(0, self.n)):
             if reached[rows].any():
                 raise ValueError(
@@ -494,21 +502,27 @@ def _listed(task: Task, method: str, kind: type[Part]) -> list[Part]:
 
 
 def _require_fit(task: Task, world: World) -> None:
-    """Check that a task has what steps compute with: its length, what it stores, and its flags."""
+    """Check that a task has what steps compute with: its length and its flags."""
     if getattr(task, "world", None) is not world:
         raise ValueError(f"task {task.name}: its __init__ has to call super().__init__(parameters, world, seed) first")
     if not isinstance(task.max_steps, int) or task.max_steps < 1:
         raise ValueError(f"task {task.name}: max_steps is {task.max_steps!r}; a whole number from 1 is needed")
+    if type(task).ended is Task.ended:
+        _require_count(task, task.flags, "flags has")
+        for end, flag in zip(task.ends, task.flags, strict=True):
+            _require_flags(flag, task.n, f"task {task.name}: flags: end {end.name!r}")
+
+
+def _require_arrays(task: Task) -> None:
+    """Check that what a task stores has a row of numbers for each robot."""
+    if not isinstance(task.arrays, dict):
+        raise ValueError(f"task {task.name}: arrays is {type(task.arrays).__name__}; a dict of arrays is needed")
     for name, array in task.arrays.items():
         if not isinstance(array, np.ndarray) or array.shape[:1] != (task.n,) or array.dtype.kind not in "biuf":
             raise ValueError(
                 f"task {task.name}: arrays: {name!r} is {type(array).__name__} of shape {np.shape(array)}; an array of "
                 f"numbers with a row for each of {task.n} robots is needed"
             )
-    if type(task).ended is Task.ended:
-        _require_count(task, task.flags, "flags has")
-        for end, flag in zip(task.ends, task.flags, strict=True):
-            _require_flags(flag, task.n, f"task {task.name}: flags: end {end.name!r}")
 
 
 def _require_terms(task: Task, terms: Sequence[RewardTerm]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import hmac
 import logging
-import time
 from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
@@ -82,7 +81,7 @@ def _evaluation_of(service: Service, evaluation_id: str, ticket: str) -> Evaluat
     """Return the evaluation whose report a ticket opens, if its token may still see it. Raises NotFoundError."""
     token_id, expires, signature = ticket.split(".")
     refused = NotFoundError("this address has expired; open the report from the job's page again")
-    if not 0 <= int(expires) - time.time() <= PAGE_S:
+    if not 0 <= int(expires) - queries.seconds(service.reads) <= PAGE_S:
         raise refused
     principal = principal_of(service.reads, token_id)
     if principal is None or Scope.READ not in principal.scopes:
@@ -102,7 +101,7 @@ def open_report(evaluation_id: EvaluationId, principal: Reader, service: Service
     _, manifest = finished(queries.visible_evaluation(service.reads, principal, evaluation_id))
     if manifest.entry(REPORT) is None:
         raise NotFoundError(f"evaluation {evaluation_id} has no report; `naoctl report` makes one")
-    expires = str(int(time.time()) + PAGE_S)
+    expires = str(int(queries.seconds(service.reads)) + PAGE_S)
     key = get_token(service.reads, principal.token_id).ticket_key
     ticket = f"{principal.token_id}.{expires}.{_signature(key, evaluation_id, principal.token_id, expires)}"
     return PagePublic(

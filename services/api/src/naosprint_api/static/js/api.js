@@ -159,16 +159,20 @@ export async function call(path, options) {
   return response.status === 204 ? null : response.json();
 }
 
-/** Fetch all items of a list that has pages. */
-export async function every(path, { params, ...options } = {}) {
+/** Fetch the first `most` items of a list that has pages, and whether there are `more`. */
+export async function first(most, path, { params, ...options } = {}) {
   const items = [];
   for (let cursor = null; ; ) {
-    const page = await call(`${path}${query({ ...params, limit: 200, cursor })}`, options);
+    const limit = Math.min(200, most - items.length);
+    const page = await call(`${path}${query({ ...params, limit, cursor })}`, options);
     items.push(...page.items);
     cursor = page.next_cursor;
-    if (!cursor) return items;
+    if (!cursor || items.length >= most) return { items, more: Boolean(cursor) };
   }
 }
+
+/** Fetch all items of a list that has pages. */
+export const every = async (path, options) => (await first(Infinity, path, options)).items;
 
 /** Return "?a=1&b=2" leaving out empty values; arrays repeat the key. */
 export function query(params) {

@@ -3,7 +3,7 @@
  */
 
 import { h, setText } from "./dom.js";
-import { compact, fixed } from "./format.js";
+import { compact, distinct, fixed } from "./format.js";
 import { color, onTheme } from "./theme.js";
 
 /** Colour tokens for series, in order. */
@@ -15,6 +15,9 @@ function faded(token, alpha) {
   const n = Number.parseInt(hex.slice(1), 16);
   return `rgb(${n >> 16} ${(n >> 8) & 255} ${n & 255} / ${alpha})`;
 }
+
+/** Color of a line. */
+const ink = ({ token, raw }) => (raw ? faded(token, 0.28) : token.startsWith("--") ? color(token) : token);
 
 /** Smooth by an exponential moving average with bias correction; `weight` in [0, 1). Gaps stay gaps. */
 export function smooth(values, weight) {
@@ -91,6 +94,13 @@ export function thin(columns, from, to, width) {
   section(b, n, rough);
   keep(n - 1);
   return columns.map((column) => kept.map((i) => column[i]));
+}
+
+/** Ends of an axis around values, with a share of their range as room; it crosses zero only where the values do. */
+export function padded(low, high, room = 0.07) {
+  const space = (high - low) * room || Math.abs(low) * 0.1 || 1;
+  const [from, to] = [low - space, high + space];
+  return [low < 0 ? from : Math.max(0, from), high > 0 || low === 0 ? to : Math.min(0, to)];
 }
 
 /** Milliseconds of one frame that charts may take; those that do not fit are drawn in the next one. */
@@ -321,14 +331,9 @@ export class Chart {
         low = Math.min(low, ref.y);
         high = Math.max(high, ref.y);
       }
-    if (low === high) {
-      const d = Math.abs(low) * 0.1 || 1;
-      low -= d;
-      high += d;
-    }
-    const padding = (high - low) * 0.07;
-    const from = least ?? (min !== undefined ? Math.min(min, low) : low - padding);
-    const to = most ?? (max !== undefined ? Math.max(max, high) : high + padding);
+    const ends = padded(low, high);
+    const from = least ?? (min !== undefined ? Math.min(min, low) : ends[0]);
+    const to = most ?? (max !== undefined ? Math.max(max, high) : ends[1]);
     return from < to ? [from, to] : [from, from + 1];
   }
 
@@ -364,12 +369,17 @@ export class Chart {
       },
       scales: { x: { time: false }, y: { distr: this.vertical.log ? 3 : 1, range: (u, a, b) => this.#range(u, a, b) } },
       axes: [
-        { ...axis, size: 26, values: (_u, ticks) => ticks.map((v) => o.xFormat(v)) },
+        {
+          ...axis,
+          size: 26,
+          space: (_u, _axis, low) => Math.max(50, 14 + 6.3 * o.xFormat(low).length),
+          values: (_u, ticks) => distinct(ticks, o.xFormat),
+        },
         {
           ...axis,
           size: (_u, labels) => Math.max(46, 16 + 6.3 * Math.max(0, ...(labels ?? []).map((t) => t.length))),
           space: 34,
-          values: (_u, ticks) => ticks.map((v) => (o.axisFormat ?? compact)(v)),
+          values: (_u, ticks) => distinct(ticks, o.axisFormat ?? compact),
         },
       ],
       series: [
@@ -379,9 +389,13 @@ export class Chart {
           spanGaps: true,
           width: line.width ?? (line.raw ? 1 : 1.75),
           dash: line.dash,
-          points: { show: false },
-          stroke: () =>
-            line.raw ? faded(line.token, 0.28) : line.token.startsWith("--") ? color(line.token) : line.token,
+          points: {
+            // a line of a single value is a point
+            show: (u, i) => !line.hidden && u.data[i].filter((v) => v !== null && v !== undefined).length === 1,
+            size: 6,
+            fill: () => ink(line),
+          },
+          stroke: () => ink(line),
           paths: line.hidden ? () => null : undefined,
         })),
       ],

@@ -15,6 +15,16 @@ const PACE = [
   { name: "cpus", title: "Processors", unit: "", digits: 1, better: null },
   { name: "memory_mb", title: "Memory", unit: "MiB", digits: 0, better: null },
 ];
+/** Metrics of trainings on the fast engine of T1 and K1. */
+const ENGINES = [
+  { name: "training_engine_reward", title: "Training engine", unit: "", digits: 2, better: "higher" },
+  { name: "evaluation_engine_reward", title: "Evaluation engine", unit: "", digits: 2, better: "higher" },
+  { name: "left_to_mujoco", title: "Substeps left to MuJoCo", unit: "", digits: 0, better: "lower" },
+];
+const ENGINE_CHARTS = [
+  { group: "task", title: "Reward by engine", metrics: ["training_engine_reward", "evaluation_engine_reward"] },
+  { group: "pace", title: "Substeps left to MuJoCo", metrics: ["left_to_mujoco"] },
+];
 /** Ground without lines and goals. */
 const BARE = {
   length_m: 30,
@@ -84,6 +94,7 @@ export class Descriptions {
       ...(this.task(nameOf(spec, "task"))?.metrics ?? []),
       ...(this.algorithms.get(nameOf(spec, "algorithm"))?.metrics ?? []),
       ...PACE,
+      ...ENGINES,
     ];
     return new Map(known.map((m) => [m.name, m]));
   }
@@ -101,7 +112,7 @@ export class Descriptions {
    * @param {Iterable<string>} columns names of the columns that there are; those without a description get a chart
    *   each
    * @returns {{key: string, group: "task"|"learning"|"pace", title: string, metrics: object[], refs: {y: number, label:
-   *   string}[]}[]}
+   *   string, metric: string}[]}[]}
    */
   charts(spec, columns = []) {
     const metrics = this.metrics(spec);
@@ -109,7 +120,7 @@ export class Descriptions {
     const algorithm = this.algorithms.get(nameOf(spec, "algorithm"));
     const references = this.ofRobot(nameOf(spec, "robot"), task?.references ?? []);
     const refs = (names) =>
-      references.filter((r) => names.includes(r.metric)).map((r) => ({ y: r.value, label: r.title }));
+      references.filter((r) => names.includes(r.metric)).map((r) => ({ y: r.value, label: r.title, metric: r.metric }));
     const make = (group) => (chart) => ({
       key: chart.metrics[0],
       group,
@@ -117,6 +128,7 @@ export class Descriptions {
       metrics: chart.metrics.map((name) => metrics.get(name) ?? plain(name)),
       refs: group === "task" ? refs(chart.metrics) : [],
     });
+    const present = new Set(columns);
     const described = [
       ...(task?.charts ?? []).map(make("task")),
       ...(algorithm?.charts ?? []).map(make("learning")),
@@ -126,9 +138,12 @@ export class Descriptions {
         { title: "Processors", metrics: ["cpus"] },
         { title: "Memory", metrics: ["memory_mb"] },
       ].map(make("pace")),
+      ...ENGINE_CHARTS.filter((chart) => chart.metrics.some((name) => present.has(name))).map(({ group, ...chart }) =>
+        make(group)(chart),
+      ),
     ];
     const covered = new Set([...metrics.keys(), ...described.flatMap((c) => c.metrics.map((m) => m.name))]);
-    const others = [...columns]
+    const others = [...present]
       .filter((name) => !covered.has(name) && !PROGRESS.has(name))
       .map((name) => ({ title: words(name), metrics: [name] }));
     return [

@@ -6,8 +6,8 @@ const missing = (v) => v === null || v === undefined || Number.isNaN(v);
 /** 1234567 -> "1,234,567". */
 export const integer = (v) => (missing(v) ? NONE : Math.round(v).toLocaleString("en-US"));
 
-/** 1234567 -> "1.23M": three significant digits, for axes and cells. */
-export function compact(v) {
+/** 1234567 -> "1.23M": three significant digits and `more`, for axes and cells. */
+export function compact(v, more = 0) {
   if (missing(v)) return NONE;
   const a = Math.abs(v);
   for (const [unit, size] of [
@@ -17,10 +17,16 @@ export function compact(v) {
   ]) {
     if (a >= size * 0.99995) {
       const x = v / size;
-      return trim(Math.abs(x) >= 100 ? x.toFixed(0) : Math.abs(x) >= 10 ? x.toFixed(1) : x.toFixed(2)) + unit;
+      return trim(x.toFixed(more + (Math.abs(x) >= 100 ? 0 : Math.abs(x) >= 10 ? 1 : 2))) + unit;
     }
   }
-  return trim(Number(v.toPrecision(4)).toString());
+  return trim(Number(v.toPrecision(4 + more)).toString());
+}
+
+/** Texts of the marks of an axis; `format` gets as many digits more as tell them apart, where some do. */
+export function distinct(values, format) {
+  const texts = [0, 1, 2, 3].map((more) => values.map((v) => format(v, more)));
+  return texts.find((found) => new Set(found).size === found.length) ?? texts[0];
 }
 const trim = (t) => (t.includes(".") && !t.includes("e") ? t.replace(/0+$/, "").replace(/\.$/, "") : t);
 
@@ -131,6 +137,9 @@ export const day = (iso) => stamp(iso).slice(0, 10);
 
 /** ISO time -> "2026-03-14 14:03" local. */
 export const minute = (iso) => stamp(iso).slice(0, 16);
+
+/** ISO time -> "14:03:59" today, "03-14 14:03" of another day, local. */
+export const moment = (iso) => (day(iso) === day(new Date()) ? clock(iso) : minute(iso).slice(5));
 
 /** "learning_rate" -> "Learning rate". */
 export const words = (key) => key.replace(/_/g, " ").replace(/^./, (c) => c.toUpperCase());

@@ -2,7 +2,7 @@
 
 import { s } from "./dom.js";
 import { axes, path, svg, ticks } from "./figures.js";
-import { compact, metricText, significant, titled } from "./format.js";
+import { compact, distinct, metricText, significant, titled } from "./format.js";
 
 const HEIGHT = 320;
 /** Least distance of parallel axes, pixels. */
@@ -56,8 +56,7 @@ export function axisOf(title, values, known = {}) {
   const scale = log ? Math.log : (v) => v;
   const place = (v) => (high > low ? (scale(v) - scale(low)) / (scale(high) - scale(low)) : 0.5);
   const at = high > low ? (log ? decades(low, high) : ticks(low, high, 5)) : [low];
-  const texts = [0, 1, 2, 3].map((more) => at.map((v) => format(v, more)));
-  const shown = texts.find((found) => new Set(found).size === found.length) ?? texts[0];
+  const shown = distinct(at, format);
   return { title, place, format, marks: at.map((v, i) => [place(v), shown[i]]) };
 }
 

@@ -1,19 +1,12 @@
 /** Plots of a study: curves of trials, their settings and results, the Pareto front. */
 
+import { padded } from "./charts.js";
 import { s } from "./dom.js";
 import { axes, path, svg } from "./figures.js";
 import { compact, significant, titled } from "./format.js";
 import { axisOf, metricAxis, missing, parallel, scatter } from "./plots.js";
 
 const HEIGHT = 300;
-
-/** Range of numbers that leaves room around them. */
-function range(values) {
-  const low = Math.min(...values);
-  const high = Math.max(...values);
-  const room = (high - low || Math.abs(high) || 1) * 0.06;
-  return [low - room, high + room];
-}
 
 /** A value of a metric with the digits that tell trials apart, without its unit. */
 export const valueText = (metric, value) => significant(metric.unit === "%" ? 100 * value : value, 4);
@@ -30,11 +23,14 @@ export function curves(width, lines, metric) {
       `${label}: no metrics yet`,
       s("text", { x: 12, y: 34 }, "No training has reported metrics yet."),
     );
+  const values = all.map(([, y]) => y);
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const share = metric.unit === "%";
   const plane = axes({
     width,
     height: HEIGHT,
     x: [0, Math.max(...all.map(([x]) => x))],
-    y: range(all.map(([, y]) => y)),
+    y: share ? [Math.min(0, low), Math.max(1, high)] : padded(low, high),
     xLabel: "Steps",
     yLabel: label,
     xFormat: compact,
@@ -47,12 +43,14 @@ export function curves(width, lines, metric) {
     `${label} of ${lines.length} trials`,
     plane.group,
     points.map((curve, i) =>
-      s("path", {
-        d: path(curve.map(([x, y]) => [plane.sx(x), plane.sy(y)])),
-        fill: "none",
-        stroke: `var(${lines[i].token})`,
-        "stroke-width": 1.75,
-      }),
+      curve.length === 1
+        ? s("circle", { cx: plane.sx(curve[0][0]), cy: plane.sy(curve[0][1]), r: 3, fill: `var(${lines[i].token})` })
+        : s("path", {
+            d: path(curve.map(([x, y]) => [plane.sx(x), plane.sy(y)])),
+            fill: "none",
+            stroke: `var(${lines[i].token})`,
+            "stroke-width": 1.75,
+          }),
     ),
     lines.map((line, i) =>
       s("text", { x: plane.left + 8, y: plane.top + 14 * (i + 1), style: { fill: `var(${line.token})` } }, line.label),

@@ -3,7 +3,7 @@
 import { call, every, query, save } from "../api.js";
 import { Chart, PALETTE, smooth } from "../charts.js";
 import { Columns } from "../columns.js";
-import { chartOptions, X_AXES } from "../curves.js";
+import { chartOptions, GROUPS, X_AXES } from "../curves.js";
 import { common, descriptions, nameOf } from "../descriptions.js";
 import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { headline, meanProfile, profile, representative } from "../evaluation.js";
@@ -74,8 +74,11 @@ function interpolate(xs, ys, x) {
   return a + ((b - a) * (x - xs[low])) / (xs[high] - xs[low]);
 }
 
-/** Mean and standard deviation of several curves on a common grid, where more than half of them have a value. */
-export function band(curves, grid) {
+/**
+ * Mean and standard deviation of several curves on a common grid, where more than half of them have a value. The band
+ * ends at 0 and at `most` if no value is beyond.
+ */
+export function band(curves, grid, most = Infinity) {
   const mean = [];
   const low = [];
   const high = [];
@@ -90,8 +93,8 @@ export function band(curves, grid) {
     const m = values.reduce((a, b) => a + b, 0) / values.length;
     const sd = values.length > 1 ? Math.sqrt(values.reduce((a, b) => a + (b - m) ** 2, 0) / (values.length - 1)) : 0;
     mean.push(m);
-    low.push(m - sd);
-    high.push(m + sd);
+    low.push(Math.max(m - sd, Math.min(...values) < 0 ? -Infinity : 0));
+    high.push(Math.min(m + sd, Math.max(...values) > most ? Infinity : most));
   }
   return { mean, low, high };
 }
@@ -126,7 +129,7 @@ class CompareView {
     document.title = "Compare · naosprint";
     fill(this.root, h("div", { class: "card" }, loading("Loading jobs")));
     if (this.group)
-      this.ids = (await call(`jobs${query({ group: this.group, limit: 200 })}`, { signal: this.signal })).items
+      this.ids = (await every("jobs", { params: { group: this.group }, signal: this.signal }))
         .map((j) => j.id)
         .toReversed();
     const missing = [];
@@ -402,43 +405,62 @@ class CompareView {
     }));
   }
 
+  /**
+   * One chart for each metric, with the jobs that have it. A task's metric without a unit, such as the reward, is on a
+   * scale of that task: several tasks have a chart each.
+   */
+  wanted() {
+    const charts = new Map();
+    const several = new Set(this.items.map(({ job }) => nameOf(job.spec, "task"))).size > 1;
+    for (const item of this.items)
+      for (const c of this.known.charts(item.job.spec, item.metrics.columns.keys()))
+        for (const metric of c.metrics) {
+          const task = several && c.group === "task" && !metric.unit ? ` · ${nameOf(item.job.spec, "task")}` : "";
+          const refs = c.refs.filter((ref) => ref.metric === metric.name);
+          const key = [metric.name, metric.title, metric.unit].join() + task;
+          const title = (c.metrics.length > 1 ? metric.title : c.title) + task;
+          const found = charts.get(key) ?? {
+            key: metric.name + task,
+            group: c.group,
+            title,
+            metrics: [metric],
+            refs,
+            items: [],
+          };
+          // a reference is drawn if it is one of all jobs: robots and tasks have different ones
+          found.refs = found.refs.filter(({ label }) => refs.some((ref) => ref.label === label));
+          found.items.push(item);
+          charts.set(key, found);
+        }
+    const order = GROUPS.map(([group]) => group);
+    return [...charts.values()]
+      .filter((c) => c.group === "task" || c.items.some(({ metrics }) => metrics.has(c.metrics[0].name)))
+      .sort((a, b) => order.indexOf(a.group) - order.indexOf(b.group));
+  }
+
   rebuildCharts() {
     for (const { chart } of this.charts) chart.destroy();
     const groups = this.groups();
     const banded = this.by !== "none";
-    const charts = new Map();
-    for (const { job, metrics } of this.items)
-      for (const c of this.known.charts(job.spec, metrics.columns.keys())) if (!charts.has(c.key)) charts.set(c.key, c);
-    const own = this.items.map(({ job }) => this.known.charts(job.spec));
-    // a reference is drawn if it is one of all jobs: robots and tasks have different ones
-    const ofAll = (key) => (ref) =>
-      own.every((found) => found.some((c) => c.key === key && c.refs.some(({ label }) => label === ref.label)));
-    this.charts = [...charts.values()]
-      .filter((c) => this.items.some(({ metrics }) => metrics.has(c.key)) || c.group === "task")
-      .map((curve) => ({
-        curve,
-        chart: new Chart({
-          ...chartOptions({
-            ...curve,
-            title: curve.metrics.length > 1 ? curve.metrics[0].title : curve.title,
-            metrics: curve.metrics.slice(0, 1),
-            refs: curve.refs.filter(ofAll(curve.key)),
-          }),
-          sync: "compare",
-          readout: false,
-          xFormat: (v) => X_AXES[this.x].format(v),
-          series: groups.flatMap((g) =>
-            banded
-              ? [
-                  { label: `${g.label} high`, token: g.token, hidden: true },
-                  { label: `${g.label} low`, token: g.token, hidden: true },
-                  { label: g.label, token: g.token, dash: g.dash, width: 2 },
-                ]
-              : [{ label: g.label, token: g.token, dash: g.dash }],
-          ),
-          bands: banded ? groups.map((g, i) => ({ series: [3 * i + 1, 3 * i + 2], token: g.token })) : [],
-        }),
-      }));
+    this.charts = this.wanted().map((curve) => ({
+      curve,
+      chart: new Chart({
+        ...chartOptions(curve),
+        sync: "compare",
+        readout: false,
+        xFormat: (v, more) => X_AXES[this.x].format(v, more),
+        series: groups.flatMap((g) =>
+          banded
+            ? [
+                { label: `${g.label} high`, token: g.token, hidden: true },
+                { label: `${g.label} low`, token: g.token, hidden: true },
+                { label: g.label, token: g.token, dash: g.dash, width: 2 },
+              ]
+            : [{ label: g.label, token: g.token, dash: g.dash }],
+        ),
+        bands: banded ? groups.map((g, i) => ({ series: [3 * i + 1, 3 * i + 2], token: g.token })) : [],
+      }),
+    }));
     fill(
       this.grid,
       this.charts.map((c) => c.chart.element),
@@ -705,9 +727,10 @@ class CompareView {
   columns(curve, groups) {
     const axis = X_AXES[this.x];
     const banded = this.by !== "none";
+    const [metric] = curve.metrics;
     const curves = new Map(
-      this.items.map((item) => {
-        const [x, y] = dense(axis.column(item.metrics), item.metrics.get(curve.key));
+      curve.items.map((item) => {
+        const [x, y] = dense(axis.column(item.metrics), item.metrics.get(metric.name));
         return [item, [x, smooth(y, this.weight)]];
       }),
     );
@@ -723,14 +746,15 @@ class CompareView {
         xs,
         ...groups.flatMap((g) => {
           const b = band(
-            g.items.map((item) => curves.get(item)),
+            g.items.filter((item) => curves.has(item)).map((item) => curves.get(item)),
             xs,
+            metric.unit === "%" ? 1 : Infinity,
           );
           return [b.high, b.low, b.mean];
         }),
       ];
     }
-    const tables = groups.map((g) => curves.get(g.items[0]));
+    const tables = groups.map((g) => curves.get(g.items[0]) ?? [[], []]);
     if (points > MAX_JOINED) {
       const xs = grid(FINE_GRID);
       return [xs, ...tables.map(([x, y]) => xs.map((at) => interpolate(x, y, at)))];
@@ -761,6 +785,8 @@ class CompareView {
     if (row.step !== undefined && row.step !== item.metrics.step.at(-1)) item.metrics.push(row);
     clearTimeout(this.refresh);
     this.refresh = setTimeout(() => {
+      const keys = (charts) => charts.map(({ key, items }) => `${key} ${items.length}`).join();
+      if (keys(this.wanted()) !== keys(this.charts.map(({ curve }) => curve))) return this.rebuildCharts();
       this.paintTable();
       this.draw();
     }, 500);

@@ -1,6 +1,7 @@
 /** Parts of modal dialogs with a form. */
 
-import { fill, h } from "../dom.js";
+import { call } from "../api.js";
+import { confirmDialog, fill, h, icon, toast } from "../dom.js";
 
 /** Show a modal dialog; it is removed when it closes. */
 export function open(title, ...parts) {
@@ -23,6 +24,26 @@ export const field = (label, input, hint) =>
 /** Show what is wrong with a form. */
 export const complain = (box, error) =>
   fill(box, [...(error.fields ?? [])].map(([key, text]) => `${key}: ${text}`).join("; ") || error.message);
+
+/**
+ * Button that requests something of the service, after a confirmation where there is a `question`; `after` is called
+ * with whether the service has done it.
+ */
+export function action(name, label, glyph, path, { method = "POST", question, after }) {
+  const press = async () => {
+    if (question && !(await confirmDialog({ action: label, danger: true, ...question }))) return;
+    button.disabled = true;
+    const done = await call(path, { method }).then(
+      () => true,
+      (error) => toast(error.message, "error"),
+    );
+    await after(Boolean(done));
+    button.disabled = false;
+  };
+  const shade = method === "DELETE" ? "danger" : null;
+  const button = h("button", { class: shade, "data-action": name, onclick: press }, icon(glyph), label);
+  return button;
+}
 
 /** The parts of a text between commas. */
 export const separated = (text) =>

@@ -4,12 +4,12 @@ import { save } from "../api.js";
 import { Chart, smooth } from "../charts.js";
 import { chartOptions, GROUPS, wallClock, X_AXES } from "../curves.js";
 import { fill, h, icon, toast } from "../dom.js";
-import { clock } from "../format.js";
+import { moment } from "../format.js";
 import { isEnded } from "../states.js";
 
 const AXES = {
   ...X_AXES,
-  clock: { label: "Wall clock", column: (m, events) => wallClock(m, events), format: (v) => clock(v * 1000) },
+  clock: { label: "Wall clock", column: (m, events) => wallClock(m, events), format: (v) => moment(v * 1000) },
 };
 
 const VIEWS_KEY = "naosprint.curve-views";
@@ -129,7 +129,7 @@ export class CurvesTab {
           ...options,
           sync: `job-${store.id}`,
           mainSeries: options.lines ? 1 : 2,
-          xFormat: (v) => AXES[this.view.x].format(v),
+          xFormat: (v, more) => AXES[this.view.x].format(v, more),
           series: options.lines
             ? options.lines.map(([, label, token]) => ({ label, token }))
             : [

@@ -1,6 +1,6 @@
 /** History of a job: attempts and events on a timeline, and its lineage. */
 
-import { call, query } from "../api.js";
+import { call, first, query } from "../api.js";
 import { fill, h } from "../dom.js";
 import { clock, day, duration, stamp, withUnit, words } from "../format.js";
 import { shownMetric } from "../jobs.js";
@@ -15,6 +15,8 @@ const TONES = {
   requeued: "amber",
   lost: "red",
 };
+/** Most jobs that are read of those of a group, and of those that start from a job's policy. */
+const MOST_RELATED = 200;
 const toneOf = (event) => (STATES[event.kind] ? tone(event.kind) : (TONES[event.kind] ?? "grey"));
 
 export class HistoryTab {
@@ -123,11 +125,12 @@ export class HistoryTab {
         break;
       }
     }
-    const children = (await store.get("jobs", { parent: store.id, limit: 100 })).items;
-    const group = store.job.group_id ? (await store.get("jobs", { group: store.job.group_id, limit: 200 })).items : [];
+    const list = (params) => first(MOST_RELATED, "jobs", { params, signal: store.signal });
+    const { items: children, more } = await list({ parent: store.id });
+    const group = store.job.group_id ? await list({ group: store.job.group_id }) : { items: [] };
     if (this.gone) return;
     /** The first metric of the job's task, from its evaluation where there is one. */
-    const first = (job) => {
+    const result = (job) => {
       const [metric] = store.known.listed(job.spec);
       const shown = metric ? shownMetric(job, metric) : null;
       if (shown?.value === undefined || shown.value === null) return null;
@@ -142,7 +145,7 @@ export class HistoryTab {
           { class: "node", "aria-current": job.id === store.id ? "true" : null },
           h("a", { href: `#/jobs/${job.id}` }, job.name),
           stateBadge(job.state),
-          first(job),
+          result(job),
         ),
         kids.length ? h("ul", { class: "tree" }, kids) : null,
       );
@@ -159,11 +162,12 @@ export class HistoryTab {
             "It started from random weights, and no other job starts from its policy. “Continue in a new job” on a checkpoint starts one.",
           )
         : null,
-      group.length
+      more ? h("p", { class: "pad muted" }, `The newest ${MOST_RELATED} of its jobs are shown.`) : null,
+      group.items.length
         ? h(
             "div",
             { class: "pad" },
-            h("h3", null, `Group of ${group.length}`),
+            h("h3", null, `Group of ${group.more ? "more than " : ""}${group.items.length}`),
             h("p", { class: "muted" }, "Jobs of one sweep."),
             h(
               "p",

@@ -2,7 +2,7 @@
 
 import { save } from "../api.js";
 import { fill, h, icon, toast } from "../dom.js";
-import { clock, stamp } from "../format.js";
+import { logLines } from "./log-lines.js";
 
 const LEVELS = { debug: 10, info: 20, warning: 30, error: 40, critical: 50 };
 
@@ -90,7 +90,7 @@ export class LogTab {
   rebuild() {
     this.shown = 0;
     this.last = 0;
-    this.attempt = null;
+    this.lines = logLines();
     this.box.replaceChildren();
     if (this.store.logsBefore) {
       const more = h(
@@ -130,18 +130,7 @@ export class LogTab {
         (this.needle && !line.message.toLowerCase().includes(this.needle))
       )
         continue;
-      if (this.attempt !== null && this.attempt !== line.attempt)
-        rows.append(h("div", { class: "mark" }, `Attempt ${line.attempt}`));
-      this.attempt = line.attempt;
-      rows.append(
-        h(
-          "div",
-          { class: "line", "data-level": line.level },
-          h("time", { datetime: line.at, title: stamp(line.at) }, clock(line.at)),
-          h("span", { class: "level" }, line.level),
-          h("span", { class: "msg" }, line.message),
-        ),
-      );
+      rows.append(...this.lines(line, line.level));
       this.shown += 1;
     }
     this.box.querySelector(".nothing")?.remove();

@@ -1,6 +1,6 @@
 /** All jobs, live: filter, search, sort, choose columns, act on one or on several, choose some to compare. */
 
-import { call, query } from "../api.js";
+import { call, may, query } from "../api.js";
 import { common, Descriptions, descriptions, nameOf } from "../descriptions.js";
 import { confirmDialog, fill, h, icon, isTyping, setText, toast } from "../dom.js";
 import { integer } from "../format.js";
@@ -204,12 +204,13 @@ class JobsView {
   /** Read the jobs of the filter: the newest at once, then all others. */
   async load() {
     this.turn += 1;
+    this.older = false;
     const turn = this.turn;
     const { state, ...others } = Object.fromEntries(ASKED.map((name) => [name, this.filter[name]]));
     let cursor = null;
     try {
       do {
-        const limit = cursor ? PAGE : FIRST;
+        const limit = cursor ? Math.min(PAGE, MOST - this.jobs.size) : FIRST;
         const params = query({ state: statesOf(state), ...others, limit, cursor });
         const [known, page] = await Promise.all([descriptions(), call(`jobs${params}`, { signal: this.signal })]);
         if (turn !== this.turn) return;
@@ -223,6 +224,8 @@ class JobsView {
         cursor = page.next_cursor;
         this.paint();
       } while (cursor && this.jobs.size < MOST);
+      this.older = Boolean(cursor);
+      this.paintCount();
     } catch (error) {
       if (error.name === "AbortError" || turn !== this.turn) return;
       fill(
@@ -275,8 +278,13 @@ class JobsView {
     this.plots.update([...this.jobs.values()], this.filter);
   }
 
+  paintCount() {
+    const count = this.jobs.size ? integer(this.jobs.size) : "";
+    setText(this.count, this.older ? `The newest ${count}. Filters list older ones.` : count);
+  }
+
   paint() {
-    setText(this.count, this.jobs.size ? integer(this.jobs.size) : "");
+    this.paintCount();
     this.paintPlots();
     if (!this.jobs.size) {
       this.paintEmpty();
@@ -330,14 +338,22 @@ class JobsView {
             "div",
             { class: "empty" },
             h("h2", null, "No jobs yet"),
-            h(
-              "p",
-              null,
-              "Submit one and watch a robot learn to run. ",
-              "With the preset “fast”, it runs after a few minutes on two cores.",
-            ),
-            h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")),
-            h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast")),
+            may("submit")
+              ? [
+                  h(
+                    "p",
+                    null,
+                    "Submit one and watch a robot learn to run. ",
+                    "With the preset “fast”, it runs after a few minutes on two cores.",
+                  ),
+                  h(
+                    "div",
+                    { class: "row" },
+                    h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job"),
+                  ),
+                  h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast")),
+                ]
+              : null,
           ),
     );
     this.head = null;

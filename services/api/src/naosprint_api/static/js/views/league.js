@@ -5,7 +5,7 @@ import { fill, h, heading, icon, scroller, table } from "../dom.js";
 import { ago, fixed, stamp } from "../format.js";
 import { stateBadge, stateNote } from "../states.js";
 import { newMatch } from "./match-new.js";
-import { loading, refreshed } from "./messages.js";
+import { listed, loading } from "./messages.js";
 
 const REFRESH_MS = 10_000;
 
@@ -62,8 +62,8 @@ export async function mount(root, { signal }) {
     ? h("button", { class: "primary", onclick: () => newMatch(signal) }, icon("plus"), "New match")
     : null;
   fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "League"), add), box);
-  const read = async () => {
-    const [teams, { items }] = await Promise.all([call("league", { signal }), call("matches?limit=200", { signal })]);
+  const draw = async (items) => {
+    const teams = await call("league", { signal });
     if (!items.length) return h("div", { class: "card" }, NONE);
     return [
       teams.length
@@ -77,5 +77,5 @@ export async function mount(root, { signal }) {
       ),
     ];
   };
-  await refreshed(box, read, REFRESH_MS, signal);
+  await listed(box, "matches", draw, REFRESH_MS, signal);
 }

@@ -2,8 +2,9 @@
 
 import { call, query } from "../api.js";
 import { h } from "../dom.js";
-import { clock, stamp, words } from "../format.js";
+import { words } from "../format.js";
 import { STATES } from "../states.js";
+import { logLines } from "./log-lines.js";
 
 const PAGE = 200;
 const LEVELS = ["info", "warning", "error"];
@@ -12,6 +13,7 @@ export class MatchHistory {
   constructor(id, signal) {
     this.path = `matches/${id}/events`;
     this.signal = signal;
+    this.lines = logLines();
     this.box = h("div", { class: "log short", tabindex: 0, role: "log", "aria-label": "History and log" });
     this.element = h(
       "section",
@@ -33,20 +35,9 @@ export class MatchHistory {
     if (atEnd) this.box.scrollTop = this.box.scrollHeight;
   }
 
-  #add({ id, at, kind, attempt, message }) {
-    if (this.attempt !== undefined && this.attempt !== attempt)
-      this.box.append(h("div", { class: "mark" }, `Attempt ${attempt}`));
-    this.attempt = attempt;
+  #add(event) {
+    const { id, kind } = event;
     this.last = id;
-    const label = LEVELS.includes(kind) ? kind : (STATES[kind]?.label ?? words(kind));
-    this.box.append(
-      h(
-        "div",
-        { class: "line", "data-level": kind },
-        h("time", { datetime: at, title: stamp(at) }, clock(at)),
-        h("span", { class: "level" }, label),
-        h("span", { class: "msg" }, message),
-      ),
-    );
+    this.box.append(...this.lines(event, kind, LEVELS.includes(kind) ? kind : (STATES[kind]?.label ?? words(kind))));
   }
 }

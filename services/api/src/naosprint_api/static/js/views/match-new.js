@@ -6,7 +6,7 @@ import { complain, field, open } from "./dialog.js";
 
 const EXAMPLE = "example";
 /** Skill of the example player by the task of its policy. */
-const SKILLS = { velocity: "walk", kick: "kick", getup: "getup" };
+const SKILLS = { velocity: "walk", kick: "kick", block: "keep", getup: "getup" };
 const ROBOT = "t1";
 
 /** Teams that the user can name: the example player, also with other policies, and uploaded ones. */

@@ -5,6 +5,7 @@ import { descriptions } from "../descriptions.js";
 import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { bytes, stamp } from "../format.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
+import { action } from "./dialog.js";
 import { GameFilm, GameReplay, LiveGame } from "./game.js";
 import { MatchHistory } from "./match-history.js";
 import { live, loading, notice, waiting } from "./messages.js";
@@ -102,19 +103,37 @@ export async function mount(root, { id, sub, signal, go }) {
   let watched = Number(sub) || null;
   let shown = "";
 
-  function act(name, label, glyph) {
-    const button = h("button", null, icon(glyph), label);
-    button.addEventListener("click", async () => {
-      button.disabled = true;
-      try {
-        await call(`matches/${id}/${name}`, { method: "POST" });
-      } catch (error) {
-        toast(error.message, "error");
-        button.disabled = false;
-      }
-      await again();
-    });
-    return button;
+  const gone = () => {
+    toast(`${match.teams.join(" – ")} was deleted.`);
+    go("/league");
+  };
+
+  function buttons() {
+    const title = match.teams.join(" – ");
+    const path = `matches/${id}`;
+    const after = () => again();
+    const question =
+      match.state === "queued"
+        ? null
+        : {
+            title: `Cancel ${title}?`,
+            body: "Games that run stop. Those that are over are kept, and the match can be retried.",
+            action: "Cancel match",
+          };
+    if (!isEnded(match.state))
+      return match.cancel_requested ? null : action("cancel", "Cancel", "close", `${path}/cancel`, { question, after });
+    return [
+      match.state === "succeeded" ? null : action("retry", "Retry", "retry", `${path}/retry`, { after }),
+      action("delete", "Delete", "trash", path, {
+        method: "DELETE",
+        question: {
+          title: `Delete ${title}?`,
+          body: "Its games, their logs and films are deleted and no longer count in the league. This cannot be undone.",
+          action: "Delete match",
+        },
+        after: (done) => (done ? gone() : again()),
+      }),
+    ];
   }
 
   function paint() {
@@ -124,8 +143,7 @@ export async function mount(root, { id, sub, signal, go }) {
       head,
       h("div", { class: "grow" }, h("h1", null, match.teams.join(" – ")), h("p", { class: "soft" }, about)),
       stateBadge(match.state, stateNote(match)),
-      may("submit") && !isEnded(match.state) && !match.cancel_requested ? act("cancel", "Cancel", "close") : null,
-      may("submit") && ["failed", "cancelled"].includes(match.state) ? act("retry", "Retry", "retry") : null,
+      may("submit") ? buttons() : null,
     );
     fill(
       details,
@@ -161,10 +179,7 @@ export async function mount(root, { id, sub, signal, go }) {
     return !isEnded(match.state);
   }
 
-  const again = await live(head, read, REFRESH_MS, signal, () => {
-    toast(`${match.teams.join(" – ")} was deleted.`);
-    go("/league");
-  });
+  const again = await live(head, read, REFRESH_MS, signal, gone);
   return {
     update(where) {
       if (where.id !== id) return false;

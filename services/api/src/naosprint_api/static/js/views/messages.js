@@ -1,6 +1,6 @@
 /** Loading, empty and error states, each with what to do next. */
 
-import { ApiError, OfflineError } from "../api.js";
+import { ApiError, first, OfflineError } from "../api.js";
 import { fill, h, icon } from "../dom.js";
 import { minute } from "../format.js";
 
@@ -58,6 +58,27 @@ export const refreshed = (box, read, every, signal) =>
     every,
     signal,
   );
+
+/** Items of a list that are read at a time. */
+const PAGE = 100;
+
+/** Like `refreshed`, with what `draw` makes of the newest items of a list that has pages; a button adds older ones. */
+export async function listed(box, path, draw, every, signal) {
+  let most = PAGE;
+  const read = async () => {
+    const { items, more } = await first(most, path, { signal });
+    const drawn = await draw(items);
+    const add = (event) => {
+      event.target.disabled = true;
+      most += PAGE;
+      again();
+    };
+    const older = h("button", { class: "small", "data-action": "older", onclick: add }, "Show older ones");
+    const words = h("span", { class: "muted" }, `The newest ${items.length} are shown.`);
+    return [drawn, more ? h("div", { class: "row wrap pad" }, words, older) : null];
+  };
+  const again = await refreshed(box, read, every, signal);
+}
 
 /** Grey lines while something loads. */
 export const loading = (label = "Loading") =>

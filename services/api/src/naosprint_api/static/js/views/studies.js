@@ -1,9 +1,9 @@
 /** The studies: searches for settings. */
 
-import { call } from "../api.js";
+import { may } from "../api.js";
 import { fill, h, heading, icon, scroller, table } from "../dom.js";
 import { ago, stamp } from "../format.js";
-import { loading, refreshed } from "./messages.js";
+import { listed, loading } from "./messages.js";
 import { studyBadge } from "./study.js";
 
 const REFRESH_MS = 10_000;
@@ -36,13 +36,14 @@ const row = (study) =>
 export async function mount(root, { signal }) {
   document.title = "Studies · naosprint";
   const box = h("div", { class: "card" }, loading("Loading studies"));
-  const start = h("a", { class: "button primary", href: "#/submit?study=1" }, icon("plus"), "New study");
+  const start = may("submit")
+    ? h("a", { class: "button primary", href: "#/submit?study=1" }, icon("plus"), "New study")
+    : null;
   fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Studies"), start), box);
-  const read = async () => {
-    const { items } = await call("studies?limit=200", { signal });
+  const draw = (items) => {
     if (!items.length) return NONE;
     const headings = HEADINGS.map((title, i) => heading(title, i > 2));
     return scroller("Studies", table(headings, items.map(row)));
   };
-  await refreshed(box, read, REFRESH_MS, signal);
+  await listed(box, "studies", draw, REFRESH_MS, signal);
 }

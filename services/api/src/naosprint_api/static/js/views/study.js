@@ -3,10 +3,11 @@
 import { call, may } from "../api.js";
 import { PALETTE } from "../charts.js";
 import { descriptions, plain } from "../descriptions.js";
-import { confirmDialog, fill, h, heading, scroller, table, toast } from "../dom.js";
+import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { Figure } from "../figures.js";
 import { percent, significant, titled, words } from "../format.js";
 import { coordinates, curves, front, valueText } from "../study-figures.js";
+import { action, complain, field, open } from "./dialog.js";
 import { live, loading, notice } from "./messages.js";
 
 const TONES = {
@@ -20,6 +21,7 @@ const TONES = {
 /** Trials whose curves are drawn. */
 const MOST_CURVES = 5;
 const REFRESH_MS = 5000;
+const MOST_TRIALS = 1000;
 
 /** A study's or a trial's state as a badge. */
 export const studyBadge = (state) =>
@@ -134,17 +136,72 @@ export async function mount(root, { id, signal, go }) {
     }));
   }
 
-  async function cancel() {
-    const sure = await confirmDialog({
-      title: "Cancel the study?",
-      body: "Its open jobs are cancelled, too.",
-      action: "Cancel the study",
-      danger: true,
+  const gone = () => {
+    toast(`${study.name} was deleted.`);
+    go("/studies");
+  };
+
+  /** Ask for the number of trials in all. */
+  function extend() {
+    const started = study.trials.length;
+    const trials = h("input", {
+      id: "study-trials",
+      type: "number",
+      min: started + 1,
+      max: MOST_TRIALS,
+      value: Math.min(MOST_TRIALS, Math.max(started, study.spec.trials) + 10),
+      required: true,
     });
-    if (!sure) return;
-    await call(`studies/${id}/cancel`, { method: "POST" }).catch((error) => toast(error.message, "error"));
-    await again();
+    const trouble = h("p", { class: "problem", role: "alert" });
+    const submit = async (event) => {
+      event.preventDefault();
+      try {
+        await call(`studies/${id}/extend`, { method: "POST", body: { trials: Number(trials.value) } });
+        dialog.close();
+        await again();
+      } catch (error) {
+        complain(trouble, error);
+      }
+    };
+    const hint = `It has started ${started} of ${study.spec.trials}. A study that has ended runs again.`;
+    const dialog = open(
+      `Extend ${study.name}`,
+      h(
+        "form",
+        { class: "stack", onsubmit: submit },
+        field("Trials in all", trials, hint),
+        trouble,
+        h(
+          "div",
+          { class: "row end" },
+          h("button", { type: "button", onclick: () => dialog.close() }, "Back"),
+          h("button", { class: "primary", type: "submit" }, "Extend"),
+        ),
+      ),
+    );
   }
+
+  const buttons = () => [
+    h("button", { "data-action": "extend", onclick: extend }, icon("plus"), "Extend"),
+    study.state === "running"
+      ? action("cancel", "Cancel", "close", `studies/${id}/cancel`, {
+          question: {
+            title: "Cancel the study?",
+            body: "Its open jobs are cancelled, too.",
+            action: "Cancel the study",
+          },
+          after: () => again(),
+        })
+      : action("delete", "Delete", "trash", `studies/${id}`, {
+          method: "DELETE",
+          question: {
+            title: `Delete ${study.name}?`,
+            body: "Its trials and their results are deleted; its jobs stay. This cannot be undone.",
+            action: "Delete study",
+          },
+          after: (done) => (done ? gone() : again()),
+        }),
+  ];
 
   /** The card of a plot; it is the same one when the page is painted again, so that the page keeps its height. */
   function plot([title, part, draw]) {
@@ -182,7 +239,7 @@ export async function mount(root, { id, signal, go }) {
         ),
       ),
       studyBadge(study.state),
-      may("submit") && study.state === "running" ? h("button", { onclick: cancel }, "Cancel") : null,
+      may("submit") ? buttons() : null,
     );
     fill(
       body,
@@ -215,10 +272,7 @@ export async function mount(root, { id, signal, go }) {
     return [study, ...study.trials].some(({ state }) => state === "running");
   }
 
-  const again = await live(head, read, REFRESH_MS, signal, () => {
-    toast(`${study.name} was deleted.`);
-    go("/studies");
-  });
+  const again = await live(head, read, REFRESH_MS, signal, gone);
   return {
     destroy() {
       for (const { figure } of plots.values()) figure.destroy();
