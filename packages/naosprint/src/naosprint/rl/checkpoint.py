@@ -169,10 +169,12 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
         )
         text = json_text(manifest.model_dump(mode="json"))
         write_whole(partial / MANIFEST, text)
+        replaced = partial_of(directory)
         if directory.exists():
-            shutil.rmtree(directory)
+            directory.rename(replaced)  # removing it takes time in which there would be neither
         partial.rename(directory)
         sync(directory.parent)
+        shutil.rmtree(replaced, ignore_errors=True)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
