@@ -155,6 +155,24 @@ def test_an_agent_that_fails_loses_its_player_and_not_the_match(
     assert not log.present[log.half == 0][-1, robot]
 
 
+@pytest.mark.parametrize("gone", ["left", "right"])
+def test_a_team_that_stays_away_after_half_time_has_no_players_and_ends_no_game(tmp_path: Path, gone: str) -> None:
+    """Else a team that is behind could save itself by that."""
+    program = f"import sys\nif {gone!r} in sys.argv: raise SystemExit('enough')\n{ENTERING}"
+    leaver = read_team(write_team(tmp_path / "leaver", program))
+    teams = (leaver, entering(tmp_path / "other"))
+    first_left = int(gone == "left")  # so that it comes in the first half
+    log = play_game(teams, ("a", "b"), first_left, GameSettings(players=1, half_s=1.0))
+    lost = [half["lost"] for half in log.notes["halves"]]
+    assert lost[0] == [] and [(each["team"], "enough" in each["reason"]) for each in lost[1]] == [(0, True)]
+    second = log.half == 1
+    assert log.present[~second].all() and (log.present[second] == [False, True]).all()
+    assert log.sides == [first_left, 1]  # alone on the field, the other is on the left
+    assert [team["lost_players"] for team in match_results([log])["means"]] == [1.0, 0.0]
+    log.save(tmp_path / "game-001.npz")
+    assert main(["match", "film", str(tmp_path / "game-001.npz"), "--output", str(tmp_path / "film.mp4")]) == 0
+
+
 def test_a_team_that_does_not_come_is_named_with_its_words(tmp_path: Path) -> None:
     team = read_team(write_team(tmp_path / "absent", "raise SystemExit('no licence')"))
     with pytest.raises(TeamFailedError, match=r"team A: no player entered the field; player 1: .*no licence"):

@@ -118,26 +118,32 @@ def play_game(
     first_left: int,
     settings: GameSettings,
     *,
+    known: bool = False,
     on_moment: Callable[[Moment], None] = lambda _moment: None,
 ) -> GameLog:
     """Play a game and return its log.
+
+    A team of which nobody comes back after half-time has no players in the second half; the other is then on the left.
 
     Args:
         teams: both teams.
         names: their names for people.
         first_left: team that plays on the left, and kicks off, in the first half; the other does in the second.
         settings: players, time, limits.
+        known: both teams have played before: one that does not come has no players in the first half, either.
         on_moment: called about once a second; what it raises ends the game.
 
     Raises:
         ServerFailedError: a server did not start or ended.
-        TeamFailedError: a team did not enter the field, or one past the endpoints of its agents did.
+        TeamFailedError: a team that has to did not enter the field, or nobody did, or one past the endpoints of its
+            agents did.
     """
     halves: list[HalfRecorder] = []
     notes = []
     for number in range(2):
         left = first_left if number == 0 else 1 - first_left
-        with _Half(teams, names, left, number, settings, halves[0].score if halves else (0, 0)) as half:
+        goals = halves[0].score if halves else (0, 0)
+        with _Half(teams, names, left, number, settings, goals, has_to_come=number == 0 and not known) as half:
             halves.append(half.play(on_moment))
             notes.append(half.notes())
     summary = {"server": f"rcsssmj {RCSSSMJ_VERSION}", "half_s": settings.half_s, "halves": notes}
@@ -169,7 +175,11 @@ class _Half:
         number: int,
         settings: GameSettings,
         goals: tuple[int, int],
+        *,
+        has_to_come: bool,
     ) -> None:
+        self._has_to_come = has_to_come
+        """Whether the game fails if a team does not come."""
         self._teams, self._left, self._number, self._settings = teams, left, number, settings
         self._titles = titles
         """Names of both teams for people."""
@@ -282,6 +292,11 @@ class _Half:
                 }
                 late = time.monotonic() > deadline
                 if not here and (late or not coming):
+                    if not self._has_to_come and not last:
+                        self._left = self._order[1]  # who enters first is on the left
+                        break
+                    if not self._has_to_come and frame.bodies:
+                        break
                     first = name, 1
                     words = self._agents[first].describe() + (self._refusal(first) or endpoints.refused(first))
                     raise TeamFailedError(f"team {'AB'[team]}: no player entered the field; player 1: {words}")

@@ -114,7 +114,8 @@ def play_match(
         if fresh:
             if stop():
                 raise MatchStoppedError
-            log = play_game(teams, shown, (game - 1) % 2, settings, on_moment=lambda moment: look(game, moment))
+            side, known = (game - 1) % 2, bool(logs)
+            log = play_game(teams, shown, side, settings, known=known, on_moment=lambda moment: look(game, moment))
             with replacing(path) as file:
                 log.save(file)
         log = GameLog.load(path)  # with the digits of the file, so that a report has the same numbers
