@@ -177,3 +177,12 @@ def test_a_team_that_does_not_come_is_named_with_its_words(tmp_path: Path) -> No
     team = read_team(write_team(tmp_path / "absent", "raise SystemExit('no licence')"))
     with pytest.raises(TeamFailedError, match=r"team A: no player entered the field; player 1: .*no licence"):
         play_match((team, team), ("a", "b"), 1, GameSettings(players=1, half_s=2.0), tmp_path / "logs")
+
+
+def test_a_known_team_that_does_not_come_has_no_players(tmp_path: Path) -> None:
+    absent = read_team(write_team(tmp_path / "absent", "raise SystemExit('no licence')"))
+    settings = GameSettings(players=1, half_s=1.0)
+    log = play_game((absent, entering(tmp_path / "other")), ("a", "b"), 0, settings, known=True)
+    assert not log.present[:, 0].any() and log.present[:, 1].all()
+    with pytest.raises(TeamFailedError, match=r"team B: no player entered the field; player 1: .*no licence"):
+        play_game((absent, absent), ("a", "b"), 0, settings, known=True)
