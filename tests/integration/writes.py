@@ -42,10 +42,10 @@ def request_evaluation(sessions: Sessions, job_id: str, **fields: Any) -> Evalua
 
 
 @contextmanager
-def refusing(sessions: Sessions, table: str, condition: str) -> Iterator[None]:
+def refusing(sessions: Sessions, table: str, condition: str, changes: str = "INSERT OR UPDATE") -> Iterator[None]:
     """Make the database refuse changes of rows, as if they were locked for longer than a statement waits."""
     refuse = "CREATE FUNCTION refuse() RETURNS trigger AS 'BEGIN RAISE lock_not_available; END' LANGUAGE plpgsql"
-    when = f"BEFORE INSERT OR UPDATE ON {table} FOR EACH ROW WHEN ({condition}) EXECUTE FUNCTION refuse()"
+    when = f"BEFORE {changes} ON {table} FOR EACH ROW WHEN ({condition}) EXECUTE FUNCTION refuse()"
     with sessions.begin() as session:
         session.execute(text(refuse))
         session.execute(text(f"CREATE TRIGGER refuse {when}"))

@@ -395,6 +395,19 @@ def test_cancel_and_delete(service: Service, conductor: Conductor) -> None:
     assert conductor._optuna().get_all_studies() == []
 
 
+def test_what_optuna_cannot_delete_of_one_study_keeps_that_of_no_other(service: Service, conductor: Conductor) -> None:
+    deleted = [start(service).id for _ in range(3)]
+    for study_id in deleted:
+        conductor.advance(study_id)
+        studies.cancel_study(service.sessions, study_id)
+        studies.delete_study(service.sessions, study_id)
+    with refusing(service.sessions, "optuna.studies", f"OLD.study_name = '{deleted[0]}'", "DELETE"):
+        conductor.forget_deleted()
+    assert [study.study_name for study in conductor._optuna().get_all_studies()] == deleted[:1]
+    conductor.forget_deleted()
+    assert conductor._optuna().get_all_studies() == []
+
+
 def test_what_optuna_holds_of_a_study_that_begins_meanwhile_stays(
     service: Service, conductor: Conductor, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,13 +75,8 @@ class Conductor:
             ).all()
         queued = False
         for study_id in running:
-            try:
+            with _alone(study_id):
                 queued = self._advance_or_end(study_id) or queued
-            except Exception as error:
-                cause = outage_of(error) or error
-                if is_outage(cause):
-                    raise cause from cause.__cause__  # the driver's
-                logger.warning("study %s waits for the database: %s", study_id, describe(cause))
         return queued
 
     def _advance_or_end(self, study_id: str) -> bool:
@@ -133,7 +128,7 @@ class Conductor:
             known = set(session.scalars(select(Study.id)))
         for study in held:
             if study.study_name not in known:
-                with suppress(KeyError):  # another worker was faster
+                with _alone(study.study_name), suppress(KeyError):  # another worker was faster
                     self._optuna().delete_study(study._study_id)
                     logger.info("deleted what Optuna holds of %s", study.study_name)
 
@@ -152,6 +147,18 @@ class Conductor:
                     tables = optuna.storages.RDBStorage(self._url, engine_kwargs=engine)
                 self._storage = optuna.storages.get_storage(tables)
         return self._storage
+
+
+@contextmanager
+def _alone(study: str) -> Iterator[None]:
+    """Log an error, so that it stops no other study; raise that of a database that does not answer."""
+    try:
+        yield
+    except Exception as error:
+        cause = outage_of(error) or error
+        if is_outage(cause):
+            raise cause from cause.__cause__  # the driver's
+        logger.warning("study %s waits for the database: %s", study, describe(cause))
 
 
 @contextmanager
