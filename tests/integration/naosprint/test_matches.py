@@ -120,13 +120,21 @@ def test_a_robot_that_is_no_agents_ends_the_game(
     class Opened(AgentEndpoints):
         def __init__(self, server: Address, players: Mapping[Player, bool]) -> None:
             super().__init__(server, players)
-            began.append(subprocess.Popen([*words, server.host, str(server.agent_port), "", "", player]))
+            self._program = [*words, server.host, str(server.agent_port), "", "", player]
+
+        def address(self, player: Player) -> Address:
+            if not began:  # not sooner: an agent that enters before the first frame ends the server
+                began.append(subprocess.Popen(self._program))
+            return super().address(player)
 
     monkeypatch.setattr(game, "AgentEndpoints", Opened)
     standing = entering(tmp_path / "standing")
-    with pytest.raises(TeamFailedError, match=f"{team}.* entered the field past the endpoints of the agents"):
-        play_game((standing, standing), ("a", "b"), 0, GameSettings(players=1, half_s=1.0))
-    assert began[0].wait(30) == 0
+    try:
+        with pytest.raises(TeamFailedError, match=f"{team}.* entered the field past the endpoints of the agents"):
+            play_game((standing, standing), ("a", "b"), 0, GameSettings(players=1, half_s=1.0))
+    finally:
+        codes = [program.wait(30) for program in began]
+    assert codes == [0]
 
 
 @pytest.mark.parametrize(
