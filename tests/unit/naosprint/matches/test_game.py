@@ -31,7 +31,7 @@ def test_a_half_ends_when_its_servers_time_stands_still_or_goes_back(
     times_s: list[float], frames: int, tmp_path: Path
 ) -> None:
     team = Team(tmp_path, ("true",))
-    half = _Half((team, team), ("a", "b"), 0, 0, GameSettings(), (0, 0))
+    half = _Half((team, team), ("a", "b"), 0, 0, GameSettings(), (0, 0), has_to_come=True)
     monitor = cast("Any", Times(*times_s))
     for _ in range(frames):
         half._next(monitor, cast("Any", None), 1.0)
