@@ -123,20 +123,20 @@ def play_game(
 ) -> GameLog:
     """Play a game and return its log.
 
-    A team of which nobody comes back after half-time has no players in the second half; the other is then on the left.
+    A team that does not come back after half-time has no players in the second half; the other then plays on the left.
 
     Args:
         teams: both teams.
         names: their names for people.
         first_left: team that plays on the left, and kicks off, in the first half; the other does in the second.
         settings: players, time, limits.
-        known: both teams have played before: one that does not come has no players in the first half, either.
+        known: whether both teams have played before; if so, one that does not come to the first half has no players.
         on_moment: called about once a second; what it raises ends the game.
 
     Raises:
         ServerFailedError: a server did not start or ended.
-        TeamFailedError: a team that has to did not enter the field, or nobody did, or one past the endpoints of its
-            agents did.
+        TeamFailedError: a team that is not known did not enter the field, or neither team did, or a player entered it
+            past the endpoints of the agents.
     """
     halves: list[HalfRecorder] = []
     notes = []
@@ -292,10 +292,9 @@ class _Half:
                 }
                 late = time.monotonic() > deadline
                 if not here and (late or not coming):
-                    if not self._has_to_come and not last:
-                        self._left = self._order[1]  # who enters first is on the left
-                        break
-                    if not self._has_to_come and frame.bodies:
+                    if not self._has_to_come and (frame.bodies or not last):
+                        if not last:
+                            self._left = self._order[1]  # the team that enters first plays on the left
                         break
                     first = name, 1
                     words = self._agents[first].describe() + (self._refusal(first) or endpoints.refused(first))
