@@ -42,9 +42,15 @@ def request_evaluation(sessions: Sessions, job_id: str, **fields: Any) -> Evalua
 
 
 @contextmanager
-def refusing(sessions: Sessions, table: str, condition: str, changes: str = "INSERT OR UPDATE") -> Iterator[None]:
-    """Make the database refuse changes of rows, as if they were locked for longer than a statement waits."""
-    refuse = "CREATE FUNCTION refuse() RETURNS trigger AS 'BEGIN RAISE lock_not_available; END' LANGUAGE plpgsql"
+def refusing(
+    sessions: Sessions,
+    table: str,
+    condition: str = "true",
+    changes: str = "INSERT OR UPDATE",
+    error: str = "lock_not_available",
+) -> Iterator[None]:
+    """Make the database refuse changes of rows, by default as if they were locked for longer than a statement waits."""
+    refuse = f"CREATE FUNCTION refuse() RETURNS trigger AS 'BEGIN RAISE {error}; END' LANGUAGE plpgsql"
     when = f"BEFORE {changes} ON {table} FOR EACH ROW WHEN ({condition}) EXECUTE FUNCTION refuse()"
     with sessions.begin() as session:
         session.execute(text(refuse))

@@ -8,8 +8,9 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from datetime import timedelta
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -38,7 +39,7 @@ from sqlalchemy import Engine, event, func, select, text, update
 
 from tests.integration.attempts import claim_work
 from tests.integration.history import states_of, violations
-from tests.integration.writes import record_checkpoint, request_evaluation
+from tests.integration.writes import record_checkpoint, refusing, request_evaluation
 
 REQUESTS = ("cancel", "pause", "resume", "retry", "delete")
 ENDS = ("finished", "crashed", "failed", "unavailable", "stalled", "memory", "crowded", "time_limit")
@@ -194,6 +195,34 @@ def test_any_order_of_transactions_follows_the_table(context: WorkerContext, see
             attempt = None
         if world.check() is None:
             world, attempt = World(context), None
+
+
+def test_an_end_that_cannot_be_written_keeps_its_lease(context: WorkerContext) -> None:
+    """The database's disk is full: it takes no new rows, but what workers renew is written in place."""
+    sessions, lease_s = context.sessions, 0.5
+    job = submission.submit(sessions, JobRequest(max_attempts=1), owner="tester")[0]
+    claim = claim_work(sessions, Job, job.id, context.worker_id, lease_s=lease_s)
+    assert claim is not None
+    run = Run(replace(context, settings=context.settings.model_copy(update={"lease_s": lease_s})), claim)
+
+    def lease_end() -> datetime:
+        with sessions.begin() as session:
+            leases.read_lease_clock(session, lease_s)
+            found = session.scalars(select(Job.lease_expires_at).where(Job.id == job.id)).one()
+        assert found is not None
+        return found
+
+    first, until = lease_end(), time.monotonic() + 10
+    with ThreadPoolExecutor(1) as pool:
+        with refusing(sessions, "events", changes="INSERT", error="disk_full"):
+            settled = pool.submit(run._patiently, lambda: run._settle(ending("unavailable", Intent.NONE)))
+            while lease_end() < first + timedelta(seconds=2 * lease_s):
+                assert time.monotonic() < until, "the lease is not renewed"
+                assert wait([settled], timeout=0.05).not_done
+        settled.result()
+    with sessions() as session:
+        found = session.get_one(Job, job.id)
+    assert (found.state, found.failures, found.postponed) == (WorkState.QUEUED, 0, 1)
 
 
 @pytest.mark.parametrize("seed", range(20))

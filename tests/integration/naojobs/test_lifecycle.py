@@ -458,8 +458,9 @@ def test_what_is_written_of_an_attempt_shows_no_internals(sessions: Sessions, ru
     assert event.message.startswith("OSError: (address); queued again")
 
 
+@pytest.mark.parametrize("failure", ["PERFORM pg_terminate_backend(pg_backend_pid()); RETURN NEW", "RAISE disk_full"])
 def test_a_database_that_does_not_answer_ends_the_search_for_lost_work(
-    sessions: Sessions, submit: Callable[..., Job]
+    sessions: Sessions, submit: Callable[..., Job], failure: str
 ) -> None:
     """It would be waited for with each row."""
     jobs = [submit() for _ in range(3)]
@@ -467,8 +468,7 @@ def test_a_database_that_does_not_answer_ends_the_search_for_lost_work(
         assert claim_work(sessions, Job, job.id, "w") is not None
         expire_lease(sessions, job.id)
     with sessions.begin() as session:
-        cut = "BEGIN PERFORM pg_terminate_backend(pg_backend_pid()); RETURN NEW; END"
-        session.execute(text(f"CREATE FUNCTION cut() RETURNS trigger AS '{cut}' LANGUAGE plpgsql"))
+        session.execute(text(f"CREATE FUNCTION cut() RETURNS trigger AS 'BEGIN {failure}; END' LANGUAGE plpgsql"))
         session.execute(text("CREATE TRIGGER cut BEFORE UPDATE ON jobs FOR EACH ROW EXECUTE FUNCTION cut()"))
     try:
         with pytest.raises(OperationalError):

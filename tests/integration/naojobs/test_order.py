@@ -12,6 +12,7 @@ from naojobs.errors import ConflictError
 from naojobs.models import Job
 from naojobs.submission import JobRequest
 from sqlalchemy import func, select, update
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -49,6 +50,17 @@ def test_a_job_that_the_database_refuses_to_lease_keeps_none_behind_it_waiting(
         assert claim_next(sessions) == second.id
         assert f"{first.id} cannot be claimed" in caplog.text
     assert claim_next(sessions) == first.id
+
+
+def test_a_full_disk_of_the_database_is_tried_with_one_job(
+    sessions: Sessions, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It would refuse each of a thousand, with a traceback for each; and the worker has not run out of work."""
+    jobs = [submit(sessions).id for _ in range(3)]
+    with refusing(sessions, "jobs", error="disk_full"), pytest.raises(OperationalError):
+        claim_next(sessions)
+    assert "cannot be claimed" not in caplog.text
+    assert [claim_next(sessions) for _ in jobs] == jobs
 
 
 def test_a_job_starts_at_its_time_or_later(sessions: Sessions) -> None:

@@ -7,7 +7,7 @@ import os
 import secrets
 import time
 from collections.abc import Callable, Iterable
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
 
 import pytest
 from naojobs import backups, outcomes, requests, submission
@@ -17,11 +17,11 @@ from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Evaluation, Job, ServiceKey
 from naojobs.retention import ForeignStoreError, Retention, adopt, find_orphans, prune_checkpoints, sweep
 from naojobs.states import WorkState
-from naojobs.store import OWNER, ArtifactStore, StoreError, checkpoint_key, evaluation_key
+from naojobs.store import OWNER, ArtifactStore, StoreError, checkpoint_key, evaluation_key, team_key
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec, TrainingSpec
 from naospec.flat import nest
-from sqlalchemy import select, update
+from sqlalchemy import Engine, event, select, update
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
@@ -252,6 +252,42 @@ def test_a_running_evaluation_keeps_its_files(
     assert key not in find_orphans(sessions, store)
     outcomes.transition(sessions, claim.lease, WorkState.FAILED, error="no space")
     assert key in find_orphans(sessions, store)
+
+
+def test_a_worker_whose_clock_is_ahead_sweeps_no_new_file(
+    sessions: Sessions, store: ArtifactStore, monkeypatch: pytest.MonkeyPatch, used: None
+) -> None:
+    """It may be a team's, which no lease protects while it is uploaded."""
+
+    class Ahead(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
+            return datetime.now(tz) + timedelta(days=2)
+
+    monkeypatch.setattr("naojobs.retention.datetime", Ahead)
+    store.put_bytes(f"{team_key('team_01m7y0bdkc59pc1szgpqz7ge55')}/team.tar", b"a")
+    assert not any("team_" in prefix for prefix in find_orphans(sessions, store))
+
+
+def test_files_that_are_recorded_while_orphans_are_looked_for_are_none(
+    sessions: Sessions, engine: Engine, store: ArtifactStore, lease: Lease, save: Callable[[int], str], used: None
+) -> None:
+    """By a clock that is ahead of the store's all files are old: the lease protects them until their rows do."""
+
+    looks = iter([lambda: (save(300), outcomes.transition(sessions, lease, WorkState.CANCELLED))])
+
+    def end(_connection: object, _cursor: object, statement: str, *_rest: object) -> None:
+        if statement.startswith(("SELECT checkpoints.key", "SELECT jobs.id")):
+            next(looks, lambda: None)()
+
+    key = checkpoint_key(lease.job_id, 300, lease.attempt)
+    store.put_bytes(f"{key}/policy.npz", b"policy")
+    event.listen(engine, "after_cursor_execute", end)
+    try:
+        assert key not in find_orphans(sessions, store, age_s=-60.0)
+    finally:
+        event.remove(engine, "after_cursor_execute", end)
+    assert steps(sessions, lease.job_id) == [300]
 
 
 def test_the_files_of_a_deleted_job_are_swept_from_a_shell(

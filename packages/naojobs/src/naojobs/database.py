@@ -64,13 +64,13 @@ def is_due(column: Any, longest_s: float) -> ColumnElement[bool]:
 
 
 def is_outage(error: Exception) -> bool:
-    """Return whether an error says that the database does not answer.
+    """Return whether an error says that the database does not answer, or that its disk has no room for any change.
 
     Others are about one statement, as for a lock, or about one transaction, which took too long.
     """
     if isinstance(error, DBAPIError) and not isinstance(error.orig, _TOO_LONG):
         unsent = isinstance(error, OperationalError | InterfaceError) and getattr(error.orig, "sqlstate", None) is None
-        return error.connection_invalidated or unsent
+        return error.connection_invalidated or unsent or isinstance(error.orig, psycopg.errors.DiskFull)
     return isinstance(error, PoolTimeoutError)
 
 

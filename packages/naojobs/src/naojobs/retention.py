@@ -10,11 +10,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 from naospec import TrainingSpec, read_stored
 from pydantic import AwareDatetime, BaseModel
-from sqlalchemy import delete, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from naojobs import backups, checkpoints
@@ -140,7 +140,7 @@ def adopt(sessions: Sessions, store: ArtifactStore, *, force: bool = False) -> d
         StoreError: it did not answer.
     """
     with sessions() as session:
-        service, current = session.execute(select(ServiceKey.key, generation())).one()
+        service, current, now = session.execute(select(ServiceKey.key, generation(), func.now())).one()
     try:
         owner = _Owner.model_validate_json(store.get_bytes(OWNER))
     except MissingArtifactError:
@@ -156,7 +156,7 @@ def adopt(sessions: Sessions, store: ArtifactStore, *, force: bool = False) -> d
         with sessions() as session:
             if there and there.isdisjoint(_known(session)):
                 raise ForeignStoreError(f"the database refers to none of the files in the store: {_REMEDY}")
-    owner = _Owner(service=service, generation=current, since=datetime.now(UTC))
+    owner = _Owner(service=service, generation=current, since=now)
     store.put_bytes(OWNER, owner.model_dump_json().encode())
     return owner.since
 
@@ -182,15 +182,15 @@ def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEF
     for file in (*store.files(ARTIFACTS), *store.files(PROBES)):
         prefix = artifact_of(file.key)
         changed[prefix] = max(file.modified, changed.get(prefix, since))
-    before = datetime.now(UTC) - timedelta(seconds=age_s)
-    old = [prefix for prefix, at in changed.items() if at < before]
     with sessions.begin() as session:
-        known = _known(session)
+        before = session.execute(select(func.now())).scalar_one() - timedelta(seconds=age_s)  # not by a worker's clock
+        old = [prefix for prefix, at in changed.items() if at < before]
         busy = {
             found
             for column, table in ((Job.id, Job), (Evaluation.job_id, Evaluation), (Match.id, Match))
             for found in session.scalars(select(column).where(table.lease_owner.is_not(None)))
         }
+        known = _known(session)  # after the leases: what ends meanwhile has recorded its files
     return sorted(prefix for prefix in old if prefix not in known and prefix.split("/")[1] not in busy)
 
 

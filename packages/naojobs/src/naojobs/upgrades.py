@@ -2,22 +2,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
+import naopolicies
 import psycopg
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validation_words
+from naospec.search import SearchSpec
 from psycopg import sql
 from pydantic import ValidationError
 
 from naojobs.connections import bounds
 from naojobs.database import alembic_config
-from naojobs.errors import ConflictError
+from naojobs.errors import ConflictError, InvalidError
+from naojobs.models import Study, StudyState
 from naojobs.states import ENDED
+from naojobs.studies import job_of, trial_job
+from naojobs.teams import MatchSpec
 
 _NAMED = 5
 """Pieces of work that an error names."""
 
-_SPECS: dict[str, type[TrainingSpec] | type[EvaluationSpec]] = {"jobs": TrainingSpec, "evaluations": EvaluationSpec}
+
+def _read_job(row: Mapping[str, Any]) -> list[str | None]:
+    read_stored(TrainingSpec, row["spec"])
+    if row["evaluation"]:
+        read_stored(EvaluationSpec, row["evaluation"])
+    return [] if row["attempt"] else [row.get("parent_policy")]  # one that has begun resumes from its checkpoints
+
+
+def _read_evaluation(row: Mapping[str, Any]) -> list[str | None]:
+    read_stored(EvaluationSpec, row["spec"])
+    return []
+
+
+def _read_match(row: Mapping[str, Any]) -> list[str | None]:
+    used = (policy for team in MatchSpec.model_validate(row["spec"]).teams for policy in team.policies.values())
+    return [policy for policy in used if not policy.startswith("ckpt_")]
+
+
+def _read_study(row: Mapping[str, Any]) -> list[str | None]:
+    job = job_of(Study(name=row["name"], job=row["job"]))
+    for name, parameter in SearchSpec.model_validate(row["spec"]).space.items():
+        for value in parameter.ends():
+            trial_job(job, {name: value})
+    return [job.parent_policy]
+
+
+_READERS: dict[str, Callable[[Mapping[str, Any]], list[str | None]]] = {
+    "jobs": _read_job,
+    "evaluations": _read_evaluation,
+    "matches": _read_match,
+    "studies": _read_study,
+}
+"""By table, what reads a row of work as this version's workers will; it returns the policies by name that they need."""
+
+_OVER = [*map(str, ENDED), *(str(state) for state in StudyState if state is not StudyState.RUNNING)]
 
 
 def check_upgrade(url: str, migrations: Path, *, force: bool = False) -> None:
@@ -61,15 +102,21 @@ def check_upgrade(url: str, migrations: Path, *, force: bool = False) -> None:
 def _unreadable(connection: psycopg.Connection) -> list[str]:
     """Return a line for each piece of open work whose specification this version cannot read."""
     lines = []
-    for table, model in _SPECS.items():
+    known = set(naopolicies.names())
+    for table, read in _READERS.items():
         if connection.execute("SELECT to_regclass(%s)", (table,)).fetchone() == (None,):
             continue
-        statement = sql.SQL("SELECT id, spec FROM {} WHERE state <> ALL (%s) ORDER BY id").format(sql.Identifier(table))
-        for work_id, spec in connection.execute(statement, ([str(state) for state in ENDED],)):
+        statement = sql.SQL("SELECT to_jsonb(work) FROM {} work WHERE state <> ALL (%s) ORDER BY id")
+        for (row,) in connection.execute(statement.format(sql.Identifier(table)), (_OVER,)):
             try:
-                read_stored(model, spec)
+                gone = {policy for policy in read(row) if policy is not None and "@" not in policy} - known
+                lines += [
+                    f"{row['id']}: this version has no policy {policy!r}, which it needs" for policy in sorted(gone)
+                ]
             except ValidationError as error:
-                lines.append(f"{work_id}: {validation_words(error.errors())}")
-            except plugins.BrokenPluginError as error:
-                lines.append(f"{work_id}: {error}")
+                lines.append(f"{row['id']}: {validation_words(error.errors())}")
+            except (plugins.BrokenPluginError, InvalidError) as error:
+                lines.append(f"{row['id']}: {error}")
+            except Exception as error:  # a document of another shape, or a defect of a plug-in: its work would fail
+                lines.append(f"{row['id']}: {type(error).__name__}: {error}")
     return lines

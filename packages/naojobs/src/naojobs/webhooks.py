@@ -20,7 +20,7 @@ from enum import StrEnum
 from typing import Any
 from urllib.parse import urlsplit
 
-from sqlalchemy import case, delete, func, literal, or_, select, true, update
+from sqlalchemy import case, delete, func, literal, or_, select, true, tuple_, update
 from sqlalchemy.orm import Session
 
 from naojobs import tokens
@@ -303,10 +303,11 @@ def _disable(session: Session, webhook_id: str, why: str | None) -> None:
 def forget(sessions: Sessions) -> int:
     """Delete old messages that are delivered or given up, and those beyond the newest `MOST_KEPT`; return how many."""
     old = (Delivery.next_at.is_(None), Delivery.created_at < func.now() - KEEP)
-    of_webhook = select(Delivery.id).where(Delivery.webhook_id == Webhook.id).order_by(Delivery.id.desc())
+    age = (Delivery.created_at, Delivery.id)  # ids alone follow the clocks of hosts
+    of_webhook = select(*age).where(Delivery.webhook_id == Webhook.id).order_by(*(column.desc() for column in age))
     last = of_webhook.offset(MOST_KEPT).limit(1).correlate(Webhook).lateral("last")
-    full = select(Webhook.id, last.c.id.label("last")).join(last, true()).subquery()
-    extra = (Delivery.webhook_id == full.c.id, Delivery.id <= full.c.last)
+    full = select(Webhook.id.label("webhook"), *last.c).join(last, true()).subquery()
+    extra = (Delivery.webhook_id == full.c.webhook, tuple_(*age) <= tuple_(full.c.created_at, full.c.id))
     with sessions.begin() as session:
         return sum(
             len(session.scalars(delete(Delivery).where(*which).returning(Delivery.id)).all()) for which in (old, extra)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import os
@@ -219,11 +220,17 @@ class Run:
     def _patiently(self, call: Callable[[], T]) -> T | None:
         """Return ``call()`` once the database answers, however long that takes; give up when the worker shuts down.
 
-        Retries are frequent enough to succeed before other workers requeue work whose lease has expired.
+        Retries are frequent enough to succeed before other workers requeue work whose lease has expired. Each renews
+        the lease: a database with a full disk may refuse new rows for hours, while its clock of leases advances.
         """
         what = f"settling {self._lease.kind} {self._lease.id}"
-        longest_s = self._context.settings.lease_s / 4
-        tries = partial(retry, call, what=what, transient=DATABASE_ERRORS, max_delay_s=longest_s)
+        lease_s = self._context.settings.lease_s
+
+        def renew(_error: Exception, _pause_s: float) -> None:
+            with contextlib.suppress(LeaseLostError, *DATABASE_ERRORS):
+                leases.heartbeat(self._context.sessions, self._lease, lease_s=lease_s)
+
+        tries = partial(retry, call, what=what, transient=DATABASE_ERRORS, max_delay_s=lease_s / 4, on_retry=renew)
         try:
             try:
                 return tries(patience_s=math.inf, stop=self._closing)
