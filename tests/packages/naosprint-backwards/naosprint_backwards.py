@@ -45,9 +45,8 @@ class RunBackwards(Task[RunBackwardsSettings]):
 
     def __init__(self, parameters, world, seed=0):
         super().__init__(parameters, world, seed)
-        self._start, self._x, self._back = np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
-        self._fell = np.zeros(self.n, dtype=np.bool_)
-        self.arrays = {"start": self._start, "x": self._x}
+        self._start, self._x = self.add_array("start"), self.add_array("x")
+        self._back, self._fell = np.zeros(self.n), np.zeros(self.n, dtype=np.bool_)
 
     def observation_blocks(self):
         """Return the robot's usual observations and a clock, which a mirror shifts by half a period."""

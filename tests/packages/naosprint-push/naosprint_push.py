@@ -40,9 +40,8 @@ class PushBall(Task[PushBallSettings]):
     def __init__(self, parameters, world, seed=0):
         super().__init__(parameters, world, seed)
         self.max_steps = parameters.episode_steps
-        self._start, self._touched, self._draws = np.zeros(self.n), np.zeros(self.n), np.zeros(self.n, dtype=np.int64)
-        self._fell = np.zeros(self.n, dtype=np.bool_)
-        self.arrays = {"start": self._start, "touched": self._touched, "draws": self._draws}
+        self._start, self._touched = self.add_array("start"), self.add_array("touched")
+        self._draws, self._fell = self.add_array("draws", fill=0), np.zeros(self.n, dtype=np.bool_)
 
     def observation_blocks(self):
         """Return the robot's usual observations and the ball as the robot perceives it."""

@@ -11,6 +11,7 @@ import gymnasium
 import naosprint  # noqa: F401 - registers the environments
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from naosprint.envs import TaskEnv
@@ -88,6 +89,67 @@ def test_a_seed_decides_everything_random_and_environments_differ() -> None:
     assert len({episode(environment, None) for environment in fresh}) == 2
     for environment in (single, other, *fresh):
         environment.close()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"seed": 3},
+        {"gamma": 0.9},
+        {"n_envs": 64},
+        {"learner_threads": 2},
+        {"algorithm": "ppo"},
+        {"algorithm.gamma": 0.9},
+        {"task.a.b": 1},
+    ],
+)
+def test_settings_that_change_nothing_of_an_environment_are_refused(settings: dict[str, Any]) -> None:
+    (name,) = settings
+    with pytest.raises(TypeError, match=f"{name}: not a setting of task, robot or simulator"):
+        make(**settings)
+    assert make(**{"task.min_height_m": 0.3, "preset": "paper"}).specification.task.min_height_m == 0.3
+    with pytest.raises(TypeError, match=r"seed: .*; give it to reset"):
+        make(seed=3)
+
+
+@pytest.mark.parametrize("settings", [{"robot": "nao-1"}, {"robot": "t1", "engine": "fast"}])
+def test_actions_that_are_not_numbers_for_every_robot_change_nothing(settings: dict[str, str]) -> None:
+    envs, other = (gymnasium.make_vec(SPRINT, num_envs=4, **settings) for _ in range(2))
+    still = np.zeros(envs.action_space.shape, dtype=np.float32)
+    with pytest.raises(ResetNeeded):
+        envs.step(still)
+    for each in (envs, other):
+        each.reset(seed=1)
+    width = still.shape[1]
+    for rows in (1, 3, 5):
+        with pytest.raises(ValueError, match=rf"actions: expected 4 x {width} numbers, .* shape \({rows}, {width}\)"):
+            envs.step(np.zeros((rows, width)))
+    for wrong in (np.nan, np.inf):
+        actions = still.copy()
+        actions[2, 1] = wrong
+        with pytest.raises(ValueError, match=rf"actions: robot 2, joint \w+: must be a finite number, not {wrong}"):
+            envs.step(actions)
+    for _ in range(5):
+        for ours, theirs in zip(envs.step(still), other.step(still), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    envs.close()
+    other.close()
+
+
+def test_a_mask_restarts_only_its_robots() -> None:
+    """As those of Gymnasium's own vector environments."""
+    envs = gymnasium.make_vec(SPRINT, num_envs=3, robot="nao-1")
+    still = np.zeros(envs.action_space.shape, dtype=np.float32)
+    first, _ = envs.reset(seed=1)
+    for _ in range(5):
+        before = envs.step(still)[0]
+    after, _ = envs.reset(seed=1, options={"reset_mask": np.array([True, False, True])})
+    np.testing.assert_array_equal(after[[0, 2]], first[[0, 2]])
+    np.testing.assert_array_equal(after[1], before[1])
+    for mask in (np.ones(2, dtype=np.bool_), [0, 1, 1]):
+        with pytest.raises(ValueError, match="reset_mask: expected 3 flags"):
+            envs.reset(options={"reset_mask": mask})
+    envs.close()
 
 
 def test_falling_ends_the_episode_and_info_says_so() -> None:
@@ -171,6 +233,17 @@ def test_cleanrls_ppo_trains_on_it(make_envs) -> None:  # type: ignore[no-untype
     envs.close()
 
 
+@pytest.mark.parametrize("robot", ["nao-0", "t1"])
+def test_a_program_that_closes_nothing_ends_without_words(robot: str) -> None:
+    code = (
+        "import gymnasium\n"
+        f"env = gymnasium.make('naosprint:naosprint/Sprint-v0', robot='{robot}')\n"
+        f"envs = gymnasium.make_vec('naosprint:naosprint/Sprint-v0', num_envs=2, robot='{robot}')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+
+
 def test_importing_the_package_loads_no_torch_and_needs_no_gymnasium() -> None:
     """The API describes tasks on machines that train nothing."""
     code = """
@@ -219,6 +292,34 @@ def test_pictures_show_the_robot_and_where_it_is(robot: str) -> None:
     env.reset(seed=0)
     assert np.array_equal(env.render(), first)
     env.close()
+
+
+def test_each_robot_of_a_vector_environment_is_drawn_as_it_would_be_alone() -> None:
+    envs = gymnasium.make_vec(SPRINT, num_envs=2, robot="nao-1", render_mode="rgb_array")
+    singles = [make(robot="nao-1", render_mode="rgb_array") for _ in range(2)]
+    envs.reset(seed=3)
+    for i, env in enumerate(singles):
+        env.reset(seed=3 + i)
+    ended = [False, False]
+    envs.action_space.seed(0)
+    while not all(ended):
+        actions = envs.action_space.sample()
+        over = np.logical_or(*envs.step(actions)[2:4])
+        for i, env in enumerate(singles):
+            if ended[i]:
+                env.reset()
+            else:
+                env.step(actions[i])
+            ended[i] = bool(over[i])
+        if any(over):
+            assert all(map(np.array_equal, envs.render() or (), [env.render() for env in singles]))
+            break
+    envs.step(envs.action_space.sample())
+    assert len(envs.render() or ()) == 2
+    for each in (envs, *singles):
+        each.close()
+    with pytest.raises(ValueError, match="render_mode: expected rgb_array"):
+        gymnasium.make_vec(SPRINT, num_envs=2, render_mode="human")
 
 
 def test_without_a_render_mode_nothing_is_drawn() -> None:

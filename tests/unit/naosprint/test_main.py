@@ -300,6 +300,28 @@ def test_a_full_disk_leaves_whole_files_or_those_before(checkpoint: Path, tmp_pa
     assert not list((tmp_path / "policy").iterdir())
 
 
+def test_a_matrix_of_transitions_is_whole_and_a_pipe_stays_one(tmp_path: Path) -> None:
+    """A link, such as /dev/stdout, stays one, too."""
+    arguments = ["handover", "--only", "getup", "--transitions", "1", "--output"]
+    file, link, pipe = tmp_path / "file", tmp_path / "link", tmp_path / "pipe"
+    file.write_text("before")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
+    try:
+        assert main([*arguments, str(file)]) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert file.read_text() == "before" and list(tmp_path.iterdir()) == [file]
+    link.symlink_to(file)
+    os.mkfifo(pipe)
+    with os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)) as reader:
+        assert main([*arguments, str(pipe)]) == 0
+        found = json.loads(reader.read())
+    assert found["policies"] == {"getup": "t1-getup"}
+    assert main([*arguments, str(link)]) == 0
+    assert link.is_symlink() and json.loads(file.read_text()) == found
+
+
 def test_two_trainings_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Their metrics and checkpoints would mix."""
     with ConsoleReporter(tmp_path, TrainingSpec.model_validate({"total_steps": 256})):

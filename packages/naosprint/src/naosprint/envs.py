@@ -10,17 +10,18 @@ Observations and rewards are raw: neither normalized nor clipped by what a polic
 
 from __future__ import annotations
 
+import weakref
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from naosim.simulator import STEP_S
-from naospec import TrainingSpec
-from naospec.flat import GROUPS, nest
+from naospec import TrainingSpec, flat
 from naospec.sections import as_mapping
 from numpy.typing import NDArray
 
@@ -40,7 +41,9 @@ OBSERVATION_LIMIT = 1e6
 N_STARTS = 64
 """Starts that episodes begin from; each reset chooses one by the environment's own generator."""
 
+_SECTIONS = ("task", "robot", "simulator")
 _STREAMS = 2**31
+_FPS = round(1.0 / STEP_S)
 
 
 def specification(**settings: Any) -> TrainingSpec:
@@ -52,13 +55,16 @@ def specification(**settings: Any) -> TrainingSpec:
 
     Raises:
         pydantic.ValidationError: if a setting is impossible.
-        TypeError: if there is no setting of a name.
+        TypeError: if task, robot and simulator have no setting of a name.
     """
-    base = {name: as_mapping(settings.pop(name)) for name in GROUPS if settings.get(name) is not None}
-    try:
-        return TrainingSpec.model_validate(nest(settings, base))
-    except KeyError as error:
-        raise TypeError(f"{error.args[0]}: not a setting of task, robot or simulator") from None
+    base = {name: as_mapping(settings.pop(name)) for name in _SECTIONS if settings.get(name) is not None}
+    paths = {name: setting.path for name, setting in flat.settings().items()}
+    for name in settings:
+        section, *fields = paths.get(name, name.split("."))
+        if name != "preset" and (section not in _SECTIONS or len(fields) != 1):
+            hint = "; give it to reset" if name == "seed" else ""
+            raise TypeError(f"{name}: not a setting of task, robot or simulator{hint}")
+    return TrainingSpec.model_validate(flat.nest(settings, base))
 
 
 class _Robots:
@@ -66,12 +72,23 @@ class _Robots:
 
     Attributes:
         seeded: (n,) robots whose generator is new; with the next episode their random numbers begin again.
+
+    Raises:
+        ValueError: if there is no such ``render_mode``, or the simulator does not report the bodies to draw.
     """
 
-    def __init__(self, n: int, threads: int, settings: dict[str, Any]) -> None:
+    def __init__(self, n: int, threads: int, render_mode: str | None, settings: dict[str, Any]) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode: expected rgb_array or None, got {render_mode!r}")
         self.spec = specification(**settings)
         self.environment = open_environment(self.spec, n, threads=threads)
+        weakref.finalize(self, self.environment.close)  # also where a program ends without it
+        self._poses: list[list[FloatArray]] = [[] for _ in range(n)] if render_mode else []
         try:
+            if render_mode and not self.environment.simulator.shapes:
+                raise ValueError(
+                    "render_mode: this simulator does not report the robot's bodies; use simulator='embedded'"
+                )
             starts = self.environment.task.starts(N_STARTS, 0, self.spec.task.start_noise_deg)
             self.environment.load_starts(starts)
         except BaseException:
@@ -97,6 +114,35 @@ class _Robots:
         streams = [generators[row].integers(_STREAMS) for row in new.tolist()]
         self.environment.restart(new, starts[new], episodes=np.array(streams, dtype=np.int64))
         self.seeded[new] = False
+        if self._poses:
+            for row in rows.tolist():
+                self._poses[row].clear()
+            self._watch(rows)
+
+    def step(self, actions: Float32Array, active: BoolArray | None = None) -> None:
+        """Take one step of 20 ms with every active robot, with (n, A) actions.
+
+        Raises:
+            ValueError: if they are not as many finite numbers.
+            ResetNeeded: if a robot has not begun an episode.
+        """
+        values, shape = np.asarray(actions, dtype=np.float64), (len(self.seeded), *self.action_space.shape)
+        if values.shape != shape:
+            raise ValueError(f"actions: expected {shape[0]} x {shape[1]} numbers, got an array of shape {values.shape}")
+        for row, column in np.argwhere(~np.isfinite(values)).tolist():
+            name = self.environment.actuation.names[column]
+            raise ValueError(f"actions: robot {row}, joint {name}: must be a finite number, not {values[row, column]}")
+        if self.seeded.any():
+            raise ResetNeeded("step: call reset first")
+        self.environment.step(values, active)
+        if self._poses:
+            self._watch(np.arange(len(values)) if active is None else np.flatnonzero(active))
+
+    def _watch(self, rows: IntArray) -> None:
+        """Keep the poses of these robots, which are drawn."""
+        bodies = self.environment.simulator.bodies()
+        for row in rows.tolist():
+            self._poses[row].append(bodies[row].copy())
 
     def info(self, row: int) -> dict[str, Any]:
         """Return the end and the task's metrics of an episode that has just ended."""
@@ -108,9 +154,11 @@ class _Robots:
         metrics = dict(zip(self._metrics, values.tolist(), strict=True))
         return {**metrics, "end": reached[0] if reached else "time_limit"}
 
-    def picture(self, poses: Sequence[FloatArray]) -> ByteArray:
-        """Return the (H, W, 3) picture of the last of these poses, each (B, 7), of one episode from its start."""
-        simulator, drawn = self.environment.simulator, np.array(poses, dtype=np.float32)
+    def picture(self, row: int) -> ByteArray:
+        """Return the (H, W, 3) picture of a robot now. Raises RuntimeError before its first episode."""
+        if not self._poses[row]:
+            raise RuntimeError("render: call reset first")
+        simulator, drawn = self.environment.simulator, np.array(self._poses[row], dtype=np.float32)
         replay = Replay(
             robot=simulator.robot,
             positions=drawn[:, :, :3],
@@ -139,18 +187,12 @@ class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium declares it so
         "render_modes": ["rgb_array"],
-        "render_fps": round(1.0 / STEP_S),
+        "render_fps": _FPS,
     }
 
     def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode: expected rgb_array or None, got {render_mode!r}")
         self.render_mode = render_mode
-        self._robots = _Robots(1, 1, settings)
-        if render_mode and not self._robots.environment.simulator.shapes:
-            self._robots.environment.close()
-            raise ValueError("render_mode: this simulator does not report the robot's bodies; use simulator='embedded'")
-        self._poses: list[FloatArray] = []
+        self._robots = _Robots(1, 1, render_mode, settings)
         self.observation_space = self._robots.observation_space
         self.action_space = self._robots.action_space
 
@@ -170,23 +212,15 @@ class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
         super().reset(seed=seed, options=options)
         self._robots.seeded |= seed is not None
         self._robots.restart(np.array([0]), [self.np_random])
-        self._poses.clear()
-        self._watch()
         return self._robots.observations()[0], {}
 
     def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
         """Take one step of 20 ms with the (A,) action in [-1, 1]."""
         environment = self._robots.environment
-        environment.step(np.asarray(action, dtype=np.float64)[None])
-        self._watch()
+        self._robots.step(np.asarray(action)[None])
         terminated, truncated = bool(environment.terminated[0]), bool(environment.truncated[0])
         info = self._robots.info(0) if terminated or truncated else {}
         return self._robots.observations()[0], float(environment.rewards[0]), terminated, truncated, info
-
-    def _watch(self) -> None:
-        """Keep the robot's pose if the episode is drawn."""
-        if self.render_mode:
-            self._poses.append(self._robots.environment.simulator.bodies()[0].copy())
 
     def render(self) -> ByteArray | None:
         """Return the (H, W, 3) picture of the robot now, with time, distance and speed; None without a render mode.
@@ -194,11 +228,7 @@ class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
         Raises:
             RuntimeError: if no episode has begun.
         """
-        if self.render_mode is None:
-            return None
-        if not self._poses:
-            raise RuntimeError("render: call reset first")
-        return self._robots.picture(self._poses)
+        return None if self.render_mode is None else self._robots.picture(0)
 
     def close(self) -> None:
         """Close the simulator."""
@@ -214,15 +244,20 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
     Args:
         num_envs: number of robots.
         threads: threads of an embedded simulator.
+        render_mode: as that of :class:`TaskEnv`, for a picture of each robot.
         **settings: see :func:`specification`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": _FPS,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(self, num_envs: int = 1, threads: int = 1, render_mode: str | None = None, **settings: Any) -> None:
         self.num_envs = num_envs
         self.render_mode = render_mode
-        self._robots = _Robots(num_envs, threads, settings)
+        self._robots = _Robots(num_envs, threads, render_mode, settings)
         self.single_observation_space = self._robots.observation_space
         self.single_action_space = self._robots.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -242,22 +277,24 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
 
         Args:
             seed: seed of the first robot's generator, of which each following robot's is one more; or one seed each.
-            options: ignored.
+            options: ``reset_mask``, (n,) flags of the robots that begin one; the others continue. More is ignored.
 
         Raises:
-            ValueError: if there are not as many seeds as robots.
+            ValueError: if there are not as many seeds or flags as robots.
         """
-        del options
+        chosen = np.asarray((options or {}).get("reset_mask", self._ended | True))
+        if chosen.shape != self._ended.shape or chosen.dtype != np.bool_:
+            raise ValueError(f"reset_mask: expected {self.num_envs} flags, got {chosen.dtype} of shape {chosen.shape}")
         if seed is not None:
             seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
             if len(seeds) != self.num_envs:
                 raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seeds)}")
             for row, one in enumerate(seeds):
-                if one is not None:
+                if one is not None and chosen[row]:
                     self._robots.seeded[row] = True
                     self._generators[row] = seeding.np_random(one)[0]
-        self._robots.restart(np.arange(self.num_envs), self._generators)
-        self._ended[:] = False
+        self._robots.restart(np.flatnonzero(chosen), self._generators)
+        self._ended &= ~chosen
         return self._robots.observations(), {}
 
     def step(
@@ -266,7 +303,7 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
         """Take one step of 20 ms with the (n, A) actions in [-1, 1]."""
         environment, again = self._robots.environment, self._ended
         if not again.all():
-            environment.step(np.asarray(actions, dtype=np.float64), ~again if again.any() else None)
+            self._robots.step(actions, ~again if again.any() else None)
         rewards = np.where(again, 0.0, environment.rewards)
         terminated, truncated = environment.terminated & ~again, environment.truncated & ~again
         infos: dict[str, Any] = {}
@@ -275,6 +312,10 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
         self._robots.restart(np.flatnonzero(again), self._generators)
         self._ended = terminated | truncated
         return self._robots.observations(), rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[ByteArray, ...] | None:
+        """Return a (H, W, 3) picture of each robot, as :meth:`TaskEnv.render` does."""
+        return None if self.render_mode is None else tuple(map(self._robots.picture, range(self.num_envs)))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the simulator."""

@@ -409,6 +409,34 @@ def test_a_cycle_that_is_not_finite_keeps_the_targets(name: str, module: str, lo
         np.testing.assert_array_equal(runner.speeds(usual[0], np.full_like(usual[0], np.nan)), 0.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "word", "values"),
+    [("t1-run", "command", (0.5, 0.1, 0.0)), ("t1-dribble", "target", (0.3, 1.0)), ("t1-kick", "target", (0.3, 5.0))],
+)
+def test_a_command_that_is_not_a_number_is_ignored(
+    name: str, word: str, values: tuple[float, ...], load: Callable[[str, str], Any]
+) -> None:
+    """It begins no new path or line, neither itself nor by the next, which is that before it; nor ends the agent."""
+    runners = load(name, "mujococodebase.skills.naosprint.runner")
+    folder = Path(runners.__file__).parent
+    vectors = np.load(folder / "parity.npz")
+    inputs = [str(each) for each in vectors["inputs"] if each != word]
+    runner, nothing = runners.Runner(folder / "policy.npz"), (np.nan, *values[1:])
+
+    def run(begin: dict[str, Any], broken: int | None) -> np.ndarray:
+        runner.begin(**begin)
+        targets = []
+        for cycle in range(20):
+            perceived = {each: np.array(vectors[each][cycle]) for each in inputs}
+            targets.append(runner.act(runner.observe(**perceived, **{word: nothing if cycle == broken else values})))
+        return np.array(targets)
+
+    begin = {str(each): vectors[f"begin_{each}"] for each in vectors["begin"]}
+    np.testing.assert_array_equal(run(begin, 10), run(begin, None))
+    if word == "target":
+        np.testing.assert_array_equal(run({**begin, "target": nothing}, None), run({**begin, "target": None}, None))
+
+
 def test_a_robot_without_team_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("naosprint.export.skill.TARGETS", {})
     policy, manifest = load_policy(naopolicies.folder("sprint"))

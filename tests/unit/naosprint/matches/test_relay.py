@@ -168,6 +168,29 @@ def test_an_agent_is_closed_that_sends_without_waiting_for_the_server(
     assert reason == "more than 250 messages before their cycles; send one a cycle"
 
 
+def test_the_game_waits_only_so_long_for_an_agent_in_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From each message of the server to the next of the agent; what it sends early costs nothing."""
+    monkeypatch.chdir(tmp_path)
+    now_s = 100.0
+    monkeypatch.setattr(relay.time, "monotonic", lambda: now_s)
+    player, text = relay._Player("T1", "left", "1"), framed(b"(syn)")
+    asked, answered = player.received(iter(lambda: framed(b"(time)"), None)), player.sent(iter(lambda: text, None))
+    next(answered)
+    for _ in range(3):
+        now_s += 2.0 * relay.MOST_WAIT_S  # nothing is asked
+        assert next(answered) == text
+    for _ in range(2):
+        next(asked)
+        next(asked)
+        now_s += relay.MOST_WAIT_S / 2.0
+        assert next(answered) == text
+    next(asked)
+    now_s += 0.1
+    assert next(answered, None) is None
+    reason = Path(REFUSAL.format("left", 1)).read_text(encoding="ascii")
+    assert reason == "the game has waited 1800 s for its answers; answer sooner"
+
+
 def test_an_agent_is_closed_that_does_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server would wait for it, and all others with it."""
     monkeypatch.chdir(tmp_path)

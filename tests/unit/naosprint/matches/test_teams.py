@@ -21,7 +21,7 @@ import naopolicies
 import pytest
 from naosim.launchers import Address
 from naospec.teams import skills_of
-from naosprint.matches import confine
+from naosprint.matches import agents, confine
 from naosprint.matches.agents import AgentProcess, Limits, cpu_by_session
 from naosprint.matches.game import GameSettings
 from naosprint.matches.match import log_name, own_folder
@@ -203,6 +203,25 @@ with socket.create_connection(("127.0.0.1", int(sys.argv[1]))) as server:
     server.sendall(f"{os.getpid()} {os.environ['HOME']}".encode())
 signal.pause()
 """
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        "[open(f'{home}/{n}', 'wb').write(bytes(100_000)) for n in range(40)]",
+        "[open(f'{home}/{n}', 'wb') for n in range(200)], [os.mkdir(f'{home}/folder{n}') for n in range(600)]",
+        "[print('x' * 99_999, flush=True) for n in range(40)]",
+    ],
+    ids=["files", "names", "output"],
+)
+def test_an_agent_that_fills_the_disk_is_stopped(write: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(agents, "MOST_DISK_BYTES", 3 << 20)
+    program = f"import os, signal; home = os.environ['HOME']; {write}; signal.pause()"
+    agent, words = run_agent(tmp_path, program)
+    assert words == "stopped: its files and its output have more than 3 MiB"
+    assert not agent.folder.exists()
+
+
 OWNER = """
 import sys
 from pathlib import Path

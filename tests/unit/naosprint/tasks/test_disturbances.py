@@ -15,7 +15,8 @@ from naosim.simspark.embedded import EmbeddedSimulator
 from naosim.simulator import BALL, Scene, Variation
 from naospec import EvaluationSpec, TrainingSpec
 from naosprint.tasks.base import Task
-from naosprint.tasks.disturbances import NOISE, BallNoiseSettings, DisturbanceSettings
+from naosprint.tasks.disturbance_settings import BallNoiseSettings, DisturbanceSettings
+from naosprint.tasks.disturbances import NOISE
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.sprint import Sprint1, SprintSettings
 from pydantic import ValidationError

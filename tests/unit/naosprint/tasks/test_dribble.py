@@ -63,7 +63,7 @@ def test_a_line_begins_where_the_ball_is_seen() -> None:
     speeds = task._speed.copy()
     walk(environment, 3)  # all have seen it
     for _ in range(30):
-        lines, aims, sighted = task._lines.copy(), task._aim.copy(), task._sighted.copy()
+        lines, aims, sighted = task._lines.copy(), task._aim.copy(), task.arrays["sighted"].copy()
         walk(environment)
         begun = task._lines > lines
         np.testing.assert_array_equal(task._line[begun], sighted[begun])
@@ -171,9 +171,11 @@ def test_a_course_has_a_corner_and_an_end() -> None:
 
 
 def test_settings_name_what_is_wrong() -> None:
-    content = {"task": {"name": "dribble", "speed_min_mps": 2.0}, "robot": "t1", "total_steps": 1}
-    with pytest.raises(ValidationError, match=r"speed_min_mps: 2\.0 is above speed_max_mps, 1\.5; exchange them"):
-        TrainingSpec.model_validate(content)
+    # ranges of its own, and of classes that it inherits from
+    for low, high in (("speed_min_mps", 1.5), ("ball_near_m", 0.9), ("friction_min", 1.0), ("extra_delay", 1)):
+        task = {"name": "dribble", "extra_delay_max": 1, low: 2}
+        with pytest.raises(ValidationError, match=rf"{low}: 2\S* is above \w+, {high}; exchange them"):
+            TrainingSpec.model_validate({"task": task, "robot": "t1", "total_steps": 1})
     evaluated = DribbleSettings(name="dribble", push_mps=1.0).for_evaluation()
     assert (evaluated.course, evaluated.speed_min_mps, evaluated.push_mps) == (True, 1.5, 0.0)
 

@@ -172,7 +172,7 @@ def test_the_walker_takes_over_after_the_perceived_kick() -> None:
         environment.step(nothing)
         np.testing.assert_array_equal(environment.world.actions, expected)
     assert task.frozen.tolist() == [True, False]
-    assert not task._command[0].any()
+    assert not task.arrays["command"][0].any()
 
 
 def test_frozen_actions_teach_the_actor_nothing() -> None:
@@ -307,15 +307,15 @@ def test_the_last_of_several_kicks_is_scored() -> None:
     """By direction and distance of the first command, whose target the ball has to reach."""
     environment = approaching(0.0, **EVENED, power_fraction=0.0, distance_min_m=6.0, least_share=0.6)
     task, ball = task_of(environment), environment.world.bodies[BALL]
-    asked = task._asked.copy()
-    task._since[:], task._touched[:] = 26, 60
+    asked, since = task.arrays["asked"].copy(), task.arrays["since"]
+    since[:], task._touched[:] = 26, 60
     task.arrays["weak"][:16] = True
     away = 3.0 * np.stack([np.cos(asked[:, 0]), np.sin(asked[:, 0]), np.zeros(32)], axis=1)
     environment.world.place_ball(np.arange(32), ball.position.copy(), away, np.zeros((32, 3)))
     task.arrays["weak"][:16] = True
     environment.step(np.zeros((32, environment.actuation.n_actions)))
-    assert (task._since[:16] == -1).all() and (task._since[16:] == 27).all()
-    task._since[:16] = 0
+    assert (since[:16] == -1).all() and (since[16:] == 27).all()
+    since[:16] = 0
     environment.step(np.zeros((32, environment.actuation.n_actions)))
     assert (task._score[:16] > 0.3).all() and not task._score[16:].any()
     assert (task._touched == 62).all()

@@ -15,14 +15,8 @@ from naospec import EvaluationSpec, TrainingSpec
 from naosprint.tasks.commands import FIRST_RANGE, SETTLING_S
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
-from naosprint.tasks.velocity import (
-    FLIGHT_SPEED_MPS,
-    OFFSET_LIMIT_M,
-    TRACKING_SCALE,
-    Velocity,
-    VelocitySettings,
-    _applied,
-)
+from naosprint.tasks.velocity import FLIGHT_SPEED_MPS, OFFSET_LIMIT_M, TRACKING_SCALE, Velocity, VelocitySettings
+from naosprint.tasks.velocity_results import applied
 from pydantic import ValidationError
 
 from ..boosters import action_mirror, mirrored_pair, symmetric_environment  # noqa: TID252
@@ -413,7 +407,7 @@ def test_errors_are_from_the_command_that_the_robot_had() -> None:
     assert len(np.unique(np.array(had)[:, 0], axis=0)) > 3
     for row in range(2):
         trace = np.array(traces)[:, row]
-        np.testing.assert_array_equal(_applied(trace)[1:, 3:6], np.array(had)[:, row])
+        np.testing.assert_array_equal(applied(trace)[1:, 3:6], np.array(had)[:, row])
 
 
 def test_an_evaluation_reports_settled_errors_and_stops() -> None:

@@ -17,7 +17,7 @@ import math
 import random
 import resource
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,6 +92,8 @@ class Connection(asyncio.Protocol):
         self.heard_at = server.now()
         self.name = "?"
         self._framer = protocol.Framer(self.limit)
+        self._reader = _core.CommandReader([])
+        self._speeds = np.zeros(0)  # that the reader sets
         self._transport: asyncio.Transport | None = None
         self._pumping = False
         self._choked = False
@@ -203,9 +205,7 @@ class Agent(Connection):
     def __init__(self, server: Server) -> None:
         super().__init__(server)
         self.robot: ServerRobot | None = None
-        self._reader = _core.CommandReader([])
-        self._nothing = np.zeros(0)
-        self._warned: set[str] = set()
+        self._noted: set[str] = set()
 
     def _attend(self) -> None:
         # Trainers first: what was sent to the monitor port before this message is to be seen in its cycle.
@@ -215,14 +215,8 @@ class Agent(Connection):
 
     def handle(self, payload: bytes) -> bool:
         """Execute an agent's commands, and run a cycle if the message requests one."""
-        robot = self.robot
-        expressions: Sequence[Expression]
-        if robot is None:
-            expressions = self._reader.read(payload, self._nothing)
-        else:
-            expressions = robot.commands.read(payload, robot.speeds[0])
         answer = False
-        for expression in expressions:
+        for expression in self._reader.read(payload, self._speeds):
             answer |= self._obey(expression)
         if not answer or self.robot is None or self.server.settings.realtime:
             return False
@@ -240,30 +234,29 @@ class Agent(Connection):
     def closed(self) -> None:
         """Take the robot off the field."""
         if self.robot is not None:
-            self.server.game.leave(self.robot.side, self.robot.uniform_number)
-            self.server.scene_changed()
+            self.server.leave(self, self.robot)
 
     def _obey(self, expression: Expression) -> bool:
         tag = expression[0] if expression else ""
-        if tag == "syn":
-            return True
         if tag == "scene":
             self._scene(expression)
-            return True
-        if tag == "init":
+        elif tag == "init":
             self._init(expression)
-            return True
-        if tag == "beam":
+        elif tag == "beam":
             self._beam(_numbers(expression, 3, "beam"))
         elif tag == "say":
             self._say(expression)
         elif tag == "pass" or tag in EFFECTORS:
-            if tag not in self._warned:
-                self._warned.add(tag)
-                logger.info("%s: %s has no effect here", self.name, tag)
-        else:
+            self._note(tag, "has no effect here")
+        elif tag != "syn":
             raise ProtocolError(f"unknown effector {str(tag)[:40]!r}")
-        return False
+        return tag in ("syn", "scene", "init")
+
+    def _note(self, tag: str, remark: str) -> None:
+        """Log a remark on an effector once."""
+        if tag not in self._noted:
+            self._noted.add(tag)
+            logger.info("%s: %s %s", self.name, tag, remark)
 
     def _scene(self, expression: Expression) -> None:
         if self.robot is not None:
@@ -275,8 +268,8 @@ class Agent(Connection):
             kind = next((k for k in nao_model.ROBOT_TYPES if str(k) == expression[2]), -1)
             if kind < 0:
                 raise ProtocolError(f"scene: robot type {str(expression[2])[:20]!r} is unknown; use 0 to 4")
-        self.robot = self.server.build(kind)
-        self.server.enlist(self)
+        self.robot = robot = self.server.enter(self, kind)
+        self._reader, self._speeds = robot.commands, robot.speeds[0]
         logger.info("%s: robot of type %d", self.name, kind)
 
     def _init(self, expression: Expression) -> None:
@@ -285,8 +278,8 @@ class Agent(Connection):
             raise ProtocolError("init: send (scene ...) first")
         if robot.side:
             raise ProtocolError("init: the robot has a team already")
-        values = {item[0]: item[1] for item in expression[1:] if isinstance(item, tuple) and len(item) == 2}
-        number, team = str(values.get("unum", "0")), str(values.get("teamname", ""))
+        values = _texts(expression)
+        number, team = values.get("unum", "0"), values.get("teamname", "")
         if not number.isdecimal() or len(number) > 3:
             raise ProtocolError("init: unum must be a whole number")
         game = self.server.game
@@ -312,11 +305,8 @@ class Agent(Connection):
         heard = isinstance(text, str) and 0 < len(text) <= protocol.SAY_LENGTH and text.isascii() and text.isprintable()
         if heard and self.robot is not None and self.robot.side:
             self.server.broadcast(self.robot, text)
-        elif "say" not in self._warned:
-            self._warned.add("say")
-            logger.info(
-                "%s: say: only a player's single ASCII words of 1 to %d are heard", self.name, protocol.SAY_LENGTH
-            )
+        else:
+            self._note("say:", f"only a player's single ASCII words of 1 to {protocol.SAY_LENGTH} are heard")
 
 
 class Monitor(Connection):
@@ -328,8 +318,6 @@ class Monitor(Connection):
     def __init__(self, server: Server) -> None:
         super().__init__(server)
         self.wants_all = True
-        self._reader = _core.CommandReader([])
-        self._nothing = np.zeros(0)
         self._actions: dict[str, Callable[[Expression], None]] = {
             "agent": self._agent,
             "ball": self._ball,
@@ -357,7 +345,7 @@ class Monitor(Connection):
 
     def handle(self, payload: bytes) -> bool:
         """Execute trainer commands; log and skip unknown ones."""
-        for expression in self._reader.read(payload, self._nothing):
+        for expression in self._reader.read(payload, self._speeds):
             tag = str(expression[0]) if expression else ""
             action = self._actions.get(tag)
             if action is None:
@@ -370,58 +358,52 @@ class Monitor(Connection):
                 logger.warning("%s: %s", self.name, error)
         return False
 
-    def _find(self, expression: Expression, *, else_selected: bool = False) -> Agent | None:
-        values = {item[0]: item[1] for item in expression[1:] if isinstance(item, tuple) and len(item) == 2}
-        number, team = str(values.get("unum", "")), str(values.get("team", ""))
+    def _find(self, expression: Expression, *, else_selected: bool = False) -> tuple[Agent, ServerRobot] | None:
+        values = _texts(expression)
+        number, team = values.get("unum", ""), values.get("team", "")
         side = {"Left": 1, "Right": 2}.get(team, 0)
         selected = self.server.selected if else_selected and not (number and team) else None
-        for agent in self.server.agents():
-            robot = agent.robot
-            if robot is None or not robot.side:
-                continue
+        for agent, robot in self.server.players():
             if agent is selected or (robot.side == side and str(robot.uniform_number) == number):
-                return agent
+                return agent, robot
         logger.warning("%s: there is no robot %s of team %s", self.name, number[:10] or "?", team[:10] or "?")
         return None
 
     def _agent(self, expression: Expression) -> None:
-        agent = self._find(expression)
-        if agent is None or agent.robot is None:
+        found = self._find(expression)
+        if found is None:
             return
-        for item in expression[1:]:
-            if not isinstance(item, tuple) or not item:
-                continue
+        _, robot = found
+        for item in _parts(expression):
             if item[0] == "move":
                 x, y, z, yaw = _numbers(item, 4, "agent: move")
-                agent.robot.beam(_place((x, y, z), "agent: move"), math.fmod(yaw, 360.0))
+                robot.beam(_place((x, y, z), "agent: move"), math.fmod(yaw, 360.0))
             elif item[0] == "pos":
-                agent.robot.shift(_place(_numbers(item, 3, "agent: pos"), "agent: pos"))
+                robot.shift(_place(_numbers(item, 3, "agent: pos"), "agent: pos"))
             elif item[0] == "rot":
                 x, y, z = (math.fmod(angle, 360.0) for angle in _numbers(item, 3, "agent: rot"))
-                agent.robot.turn((x, y, z))
+                robot.turn((x, y, z))
 
     def _select(self, expression: Expression) -> None:
         server = self.server
         if len(expression) == 1:
-            players = [agent for agent in server.agents() if agent.robot is not None and agent.robot.side]
+            players = [agent for agent, _ in server.players()]
             after = players.index(server.selected) + 1 if server.selected in players else 0
             server.select(players[after % len(players)] if players else None)
         elif ("unum", "-1") in expression:
             server.select(None)
         else:
-            server.select(self._find(expression) or server.selected)
+            found = self._find(expression)
+            server.select(found[0] if found else server.selected)
 
     def _repos(self, expression: Expression) -> None:
-        agent = self._find(expression, else_selected=True)
-        if agent is not None and agent.robot is not None:
-            game, robot = self.server.game, agent.robot
-            robot.shift(game.sideline(robot.side, robot.uniform_number))
+        if found := self._find(expression, else_selected=True):
+            _, robot = found
+            robot.shift(self.server.game.sideline(robot.side, robot.uniform_number))
 
     def _ball(self, expression: Expression) -> None:
         ball = self.server.game.ball
-        for item in expression[1:]:
-            if not isinstance(item, tuple) or not item:
-                continue
+        for item in _parts(expression):
             if item[0] == "pos":
                 ball.position = _place(_numbers(item, 3, "ball: pos"), "ball: pos")
             elif item[0] == "vel":
@@ -431,24 +413,22 @@ class Monitor(Connection):
         mode = str(expression[1]) if len(expression) == 2 else ""
         if mode not in protocol.PLAY_MODES:
             raise ProtocolError(f"playMode: {mode[:40]!r} is unknown")
-        self._set_play_mode(mode)
+        self.server.game.play_mode = mode
 
     def _kick_off(self, expression: Expression) -> None:
         team = str(expression[1]) if len(expression) == 2 else ""
         if team not in ("Left", "Right", "None"):
             raise ProtocolError(f"kickOff: must be Left, Right or None, not {team[:20]!r}")
-        self._set_play_mode(f"KickOff_{team if team != 'None' else self.server.random.choice(('Left', 'Right'))}")
+        side = team if team != "None" else self.server.random.choice(("Left", "Right"))
+        self.server.game.play_mode = f"KickOff_{side}"
 
     def _drop_ball(self) -> None:
-        ball = self.server.game.ball
+        game, ball = self.server.game, self.server.game.ball
         ball.velocity = (0.0, 0.0, 0.0)
         x, y, _ = ball.position
         farthest = protocol.FIELD_WIDTH / 2 - protocol.BALL_RADIUS
         ball.position = (x, min(max(y, -farthest), farthest), protocol.BALL_RADIUS)
-        self._set_play_mode("PlayOn")
-
-    def _set_play_mode(self, mode: str) -> None:
-        self.server.game.play_mode = mode
+        game.play_mode = "PlayOn"
 
     def _time(self, expression: Expression) -> None:
         (time,) = _numbers(expression, 1, "time")
@@ -457,16 +437,15 @@ class Monitor(Connection):
         self.server.set_time(time)
 
     def _score(self, expression: Expression) -> None:
-        values = dict(item for item in expression[1:] if isinstance(item, tuple) and len(item) == 2)
-        left, right = str(values.get("left", "")), str(values.get("right", ""))
+        values = _texts(expression)
+        left, right = values.get("left", ""), values.get("right", "")
         if not left.isdecimal() or not right.isdecimal() or len(left + right) > 8:
             raise ProtocolError("score: give (left n)(right n)")
         self.server.game.scores = (int(left), int(right))
 
     def _kill(self, expression: Expression) -> None:
-        agent = self._find(expression, else_selected=True)
-        if agent is not None:
-            agent.close("killed by the trainer")
+        if found := self._find(expression, else_selected=True):
+            found[0].close("killed by the trainer")
 
 
 class Server:
@@ -482,7 +461,8 @@ class Server:
         self.monitor_port = 0
         self._connections: set[Connection] = set()
         self._monitors: list[Monitor] = []
-        self._playing: list[Agent] = []
+        self._robots: dict[Agent, ServerRobot] = {}
+        """Robots on the field, in order of arrival."""
         self._time = 0.0
         self._writer: _core.SceneWriter | None = None
         self._shown: dict[str, str] = {}
@@ -546,47 +526,44 @@ class Server:
         self._connections.discard(connection)
         if isinstance(connection, Monitor) and connection in self._monitors:
             self._monitors.remove(connection)
-        if isinstance(connection, Agent) and connection in self._playing:
-            self._playing.remove(connection)
-        if connection is self.selected:
+
+    def players(self) -> list[tuple[Agent, ServerRobot]]:
+        """Return the agents whose robots have a team, in order of arrival, and these robots."""
+        return [(agent, robot) for agent, robot in self._robots.items() if robot.side]
+
+    def enter(self, agent: Agent, robot_type: int) -> ServerRobot:
+        """Build a robot for an agent, and place it on the field.
+
+        Raises:
+            ProtocolError: there are too many robots.
+        """
+        if len(self._robots) >= self.settings.max_agents:
+            raise ProtocolError(f"scene: {self.settings.max_agents} robots exist already")
+        seed = self.random.getrandbits(63)
+        robot = ServerRobot(robot_type, digits=self.settings.digits, seed=seed, noise=self.settings.noise)
+        robot.game_time = self._game_time()
+        self._robots[agent] = robot
+        self.scene_changed()
+        return robot
+
+    def leave(self, agent: Agent, robot: ServerRobot) -> None:
+        """Take an agent's robot off the field."""
+        del self._robots[agent]
+        if agent is self.selected:
             self.selected = None
-
-    def agents(self) -> list[Agent]:
-        """Return the agents that have a robot, in order of arrival."""
-        return list(self._playing)
-
-    def enlist(self, agent: Agent) -> None:
-        """Place an agent's robot on the field."""
-        self._playing.append(agent)
+        self.game.leave(robot.side, robot.uniform_number)
         self.scene_changed()
 
     def select(self, agent: Agent | None) -> None:
         """Select one robot, or none."""
         self.selected = agent
-        for other in self._playing:
-            if other.robot is not None:
-                other.robot.selected = other is agent
+        for other, robot in self._robots.items():
+            robot.selected = other is agent
         self.scene_changed()
-
-    def build(self, robot_type: int) -> ServerRobot:
-        """Build a robot.
-
-        Raises:
-            ProtocolError: there are too many robots.
-        """
-        if len(self.agents()) >= self.settings.max_agents:
-            raise ProtocolError(f"scene: {self.settings.max_agents} robots exist already")
-        seed = self.random.getrandbits(63)
-        robot = ServerRobot(robot_type, digits=self.settings.digits, seed=seed, noise=self.settings.noise)
-        robot.game_time = self._game_time()
-        return robot
 
     def broadcast(self, speaker: ServerRobot, text: str) -> None:
         """Deliver a message to all robots."""
-        for agent in self.agents():
-            robot = agent.robot
-            if robot is None or not robot.side:
-                continue
+        for _, robot in self.players():
             if robot is speaker:
                 robot.hear("self", speaker.team, "self", text)
                 continue
@@ -599,9 +576,8 @@ class Server:
     def set_time(self, time: float) -> None:
         """Set the game's clock, s."""
         self._time = time
-        for agent in self.agents():
-            if agent.robot is not None:
-                agent.robot.game_time = time
+        for robot in self._robots.values():
+            robot.game_time = time
 
     def scene_changed(self) -> None:
         """Send everything again: a robot entered, left or joined a team."""
@@ -615,7 +591,7 @@ class Server:
 
     def cycled(self, agent: Agent) -> None:
         """Record that a robot's cycle has run: the ball moves with the first robot, and monitors see the result."""
-        if agent is self._playing[0]:
+        if agent is next(iter(self._robots)):
             self.game.ball.step()
         if self._monitors:
             self._publish()
@@ -626,7 +602,7 @@ class Server:
         monitor.write(self._frame(full=True))
 
     def _game_time(self) -> float:
-        return max((agent.robot.game_time for agent in self._playing if agent.robot), default=self._time)
+        return max((robot.game_time for robot in self._robots.values()), default=self._time)
 
     def _publish(self) -> None:
         frames: dict[bool, bytes] = {}
@@ -641,12 +617,12 @@ class Server:
             monitor.write(frames[full])
 
     def _frame(self, full: bool) -> bytes:
-        found = [agent.robot for agent in self._playing if agent.robot is not None]
+        robots = self._robots.values()
         if self._writer is None:
-            steps, poses = describe([robot.actor for robot in found])
+            steps, poses = describe([robot.actor for robot in robots])
             self._writer = _core.SceneWriter(steps, poses)
         ball = np.array([[*self.game.ball.position, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]])
-        poses_now = np.concatenate([ball, *(robot.poses for robot in found)])
+        poses_now = np.concatenate([ball, *(robot.poses for robot in robots)])
         return self._writer.write(self._values(full), full, poses_now)
 
     def _values(self, full: bool) -> bytes:
@@ -668,7 +644,7 @@ class Server:
             next_at = max(next_at + nao_model.CYCLE_S, loop.time() - 10 * nao_model.CYCLE_S)
             await asyncio.sleep(next_at - loop.time())
             if self.settings.realtime:
-                for agent in self.agents():
+                for agent in list(self._robots):
                     if agent.backlog > _BACKLOG_BYTES:
                         agent.close("it does not read its messages")
                         continue
@@ -676,7 +652,7 @@ class Server:
                         agent.cycle()
                     except FloatingPointError:
                         agent.close("the robot's state is no longer finite")
-            if not self._playing:
+            if not self._robots:
                 self.game.ball.step()
                 if self._monitors:
                     self._publish()
@@ -702,6 +678,16 @@ _GAME_VALUES = (
     "(BallMass 0.026)(RuleGoalPauseTime 3)(RuleKickInPauseTime 1)(RuleHalfTime 300)(PassModeMinOppBallDist 1)"
     f"(PassModeDuration 4)(play_modes {' '.join(protocol.PLAY_MODES)})"
 )
+
+
+def _parts(expression: Expression) -> Iterator[Expression]:
+    """Yield the expressions in an expression that are not empty."""
+    return (item for item in expression[1:] if isinstance(item, tuple) and item)
+
+
+def _texts(expression: Expression) -> dict[str, str]:
+    """Return the second word by the first of what has two: ``{"unum": "1"}`` of ``(agent (unum 1))``."""
+    return {str(item[0]): str(item[1]) for item in _parts(expression) if len(item) == 2}
 
 
 def _numbers(expression: Expression, count: int, what: str) -> list[float]:

@@ -7,6 +7,7 @@ import glob
 import json
 import os
 import sys
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from naosprint.matches import confine
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from naosim.launchers import Address
 
@@ -34,6 +36,10 @@ _SYSTEM = (
     *(f"/dev/{name}" for name in ("null", "zero", "full", "random", "urandom")),
     *(f"/etc/{name}" for pattern in _SETTINGS for name in glob.glob(pattern, root_dir="/etc")),
 )
+MOST_DISK_BYTES = 256 << 20
+"""Most bytes of what an agent writes in all, its output included."""
+_BLOCK_BYTES, _LOOK_S = 4096, 1.0
+"""Least bytes that a file or folder counts, and seconds between two looks at them."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -79,6 +85,7 @@ class AgentProcess(GuardedProcess):
         super().__init__("naosprint-agent-")
         self.number = number
         self.cpu_s = 0.0
+        self._looked_at, self._too_much = 0.0, ""
         self._enforced: list[str] = []
         # the agent may use no other part of its folder
         home, self._report = self.folder / "home", self.folder / "enforced.json"
@@ -113,6 +120,19 @@ class AgentProcess(GuardedProcess):
         with contextlib.suppress(OSError, ValueError):
             self._enforced = json.loads(self._report.read_text(encoding="utf-8"))
 
+    def alive(self) -> bool:
+        """Return whether it runs; one that has written too much is stopped."""
+        if super().alive() and time.monotonic() - self._looked_at > _LOOK_S:
+            self._looked_at = time.monotonic()
+            if _disk_bytes(self.folder) > MOST_DISK_BYTES:
+                self._too_much = f"stopped: its files and its output have more than {MOST_DISK_BYTES >> 20} MiB"
+                self.stop()
+        return super().alive()
+
+    def describe(self) -> str:
+        """Return how it ended and the end of its log."""
+        return self._too_much or super().describe()
+
     def stop(self) -> None:
         """Kill it and everything that it started; its processor time and what was enforced stay known."""
         self.note_cpu(cpu_by_session())
@@ -122,6 +142,18 @@ class AgentProcess(GuardedProcess):
     def note_cpu(self, used_s: Mapping[int, float]) -> None:
         """Note the processor time that it has used so far, from that of all sessions."""
         self.cpu_s = max(self.cpu_s, used_s.get(self.pid, 0.0))
+
+
+def _disk_bytes(folder: Path) -> int:
+    """Return the bytes on the disk of what is in a folder, counted no further than beyond MOST_DISK_BYTES."""
+    used = 0
+    for path, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            with contextlib.suppress(OSError):  # removed meanwhile
+                used += max(_BLOCK_BYTES, 512 * os.lstat(os.path.join(path, name)).st_blocks)
+        if used > MOST_DISK_BYTES:
+            break
+    return used
 
 
 def cpu_by_session() -> dict[int, float]:

@@ -22,6 +22,7 @@ import socket
 import struct
 import sys
 import threading
+import time
 from collections.abc import Collection, Iterable, Iterator
 
 MOST_MESSAGE_BYTES = 1 << 14
@@ -30,6 +31,10 @@ MOST_NUMBER = 1e9
 """Largest number of an agent's message; MuJoCo resets all robots at positions from 1e10."""
 MOST_AHEAD = 250
 """Most messages that an agent sends before their cycles, 5 s of play; the server keeps them in memory."""
+MOST_WAIT_S = 1800.0
+"""Most seconds that the game waits for the answers of an agent in all: 0.12 s a cycle of a half of 300 s. The server
+itself drops only agents that are silent for 5 s, and would play slower ones for longer than a half may take.
+"""
 REFUSAL = "{}-{}.refused"
 """File with the reason why the connection of a player, of a team and a number, was closed."""
 _ARMS_AND_LEGS = {"he": 2, "lae": 4, "rae": 4, "lle": 6, "rle": 6}
@@ -183,6 +188,8 @@ class _Player:
         self._effectors = EFFECTORS.get(model, frozenset())
         self._refusal = REFUSAL.format(team, number)
         self._sent = self._received = 0
+        self._asked_s: float | None = None
+        self._waited_s = 0.0
 
     def sent(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
         """Yield its entry and what it may send of all that it sends; end at the first that it may not."""
@@ -193,6 +200,11 @@ class _Player:
                 self._sent += 1
                 if self._sent - self._received > MOST_AHEAD:
                     raise RefusalError(f"more than {MOST_AHEAD} messages before their cycles; send one a cycle")
+                if self._asked_s is not None:
+                    self._waited_s += time.monotonic() - self._asked_s
+                    self._asked_s = None
+                if self._waited_s > MOST_WAIT_S:
+                    raise RefusalError(f"the game has waited {MOST_WAIT_S:g} s for its answers; answer sooner")
                 yield _framed(message)
         except RefusalError as error:
             self.refuse(str(error))
@@ -201,6 +213,7 @@ class _Player:
         """Yield what it gets, one message a cycle."""
         for message in messages(chunks):
             self._received += 1
+            self._asked_s = self._asked_s or time.monotonic()
             yield _framed(message)
 
     def refuse(self, reason: str) -> None:

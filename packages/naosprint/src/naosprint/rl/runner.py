@@ -146,15 +146,7 @@ def train(
         environment, n_starts = open_training_environment(processes.share(segment.spec))
         try:
             session = _Session(
-                spec,
-                segment,
-                progress,
-                environment,
-                n_starts,
-                workdir,
-                reporter,
-                min_checkpoint_s,
-                processes,
+                spec, segment, progress, environment, n_starts, workdir, reporter, min_checkpoint_s, processes
             )
             session.start(resume, initial_policy)
             result = session.run(stop)
@@ -178,8 +170,8 @@ class _Session:
         n_starts: int,
         workdir: Path,
         reporter: Reporter,
-        min_checkpoint_s: float = 0.0,
-        processes: Processes = ALONE,
+        min_checkpoint_s: float,
+        processes: Processes,
     ) -> None:
         self.whole = whole
         self.processes = processes
@@ -434,25 +426,23 @@ class _Session:
     def _save(self, state: TrainingState) -> Path:
         path = self._workdir / _name(state.steps)
         if self._saved_step != state.steps:
-            parts = self.processes.gather(self._own(state)) if self.processes.size > 1 else [{}]
+            if self.processes.size > 1:
+                own = {name: state.learner[name] for name in self.learner.own_state}
+                state = replace(state, others=self.processes.gather({**state.environment, **own})[1:])
             if self.processes.rank == 0:
-                save_checkpoint(path, self.whole, replace(state, others=parts[1:]))
+                save_checkpoint(path, self.whole, state)
                 self._reporter.checkpoint(path, state.steps)
             self.processes.any(False)  # the others may read it from here on
             self._saved_step = state.steps
             self._saved_at = perf_counter()
         return path
 
-    def _own(self, state: TrainingState) -> dict[str, AnyArray]:
-        """Return what the state of one of several processes has of its own."""
-        return {**state.environment, **{name: state.learner[name] for name in self.learner.own_state}}
-
     def _window_means(self) -> dict[str, float]:
         """Return the means over the latest episodes of all processes, and count their episodes."""
         window = self.environment.window
-        if self.processes.size == 1:
-            return window.means()
         means = window.means()
+        if self.processes.size == 1:
+            return means
         own = [float(window.episodes), float(bool(means)), *(means.get(name, 0.0) for name in window.names)]
         episodes, filled, *sums = self.processes.sum(np.array(own)).tolist()
         self._episodes_elsewhere = int(episodes) - window.episodes
@@ -512,10 +502,8 @@ def _require_same_training(directory: Path, theirs: TrainingSpec, ours: Training
 
 
 def _flattened(content: Mapping[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for section, value in content.items():
-        if isinstance(value, dict):
-            flat.update({f"{section}.{name}": inner for name, inner in value.items()})
-        else:
-            flat[section] = value
-    return flat
+    return {
+        f"{section}.{name}" if name else section: inner
+        for section, value in content.items()
+        for name, inner in (value.items() if isinstance(value, dict) else [("", value)])
+    }

@@ -10,7 +10,7 @@ from naospec import TaskSettings
 from naospec.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 
 from naosprint.tasks.base import End, RewardTerm, Task, get, names, seconds
-from naosprint.tasks.disturbances import BallNoiseSettings, DisturbanceSettings
+from naosprint.tasks.disturbance_settings import BallNoiseSettings, DisturbanceSettings
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement, Measurement, StoredNumbers

@@ -8,20 +8,20 @@ a walk through the ball. What acts knows only what a player perceives; rewards a
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, ClassVar, Generic, Self
+from typing import TYPE_CHECKING, ClassVar, Generic
 
 import numpy as np
 from naosim.simulator import BALL, STEP_S, Ability, Scene, Starts
 from naospec.sections import PlainName
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 from typing_extensions import TypeVar
 
 from naosprint.tasks import rolling
 from naosprint.tasks.base import Task
 from naosprint.tasks.commands import ACCELERATIONS, AccelerationSettings, approached
-from naosprint.tasks.disturbances import BallNoiseSettings, DisturbanceSettings
+from naosprint.tasks.disturbance_settings import BallNoiseSettings, DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
+from naosprint.tasks.fields import weight
 from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen, require_entries
 from naosprint.tasks.handover import Entries, EntrySettings, HandOver, joined, record, record_own
 from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
@@ -45,6 +45,7 @@ from naosprint.terms import (
     wrapped,
 )
 from naosprint.terms.geometry import along, turned
+from naosprint.terms.randomness import uniform
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,9 +63,6 @@ class BallSettings(
 ):
     """Settings of tasks with a ball."""
 
-    ranges: ClassVar[tuple[tuple[str, str], ...]] = ()
-    """Settings that are the lower and the upper end of a range."""
-
     walker: PlainName | None = Field(
         default=None,
         title="Walker",
@@ -79,31 +77,18 @@ class BallSettings(
         description="Fastest commanded speed of the walker in these states.",
         json_schema_extra={"unit": "m/s"},
     )
-    fall_penalty: float = Field(
-        default=6.0,
-        ge=0.0,
-        le=1000.0,
-        title="Fall penalty",
-        description="Penalty for a fall. Where rewards are normalized, what is ten standard deviations of a return or "
+    fall_penalty: float = weight(
+        6.0,
+        "Fall penalty",
+        "Penalty for a fall. Where rewards are normalized, what is ten standard deviations of a return or "
         "more counts as ten.",
     )
-
-    @model_validator(mode="after")
-    def _ranges(self) -> Self:
-        for low, high in self.ranges:
-            if getattr(self, low) > getattr(self, high):
-                raise PydanticCustomError(
-                    "range",
-                    "{low}: {least} is above {high}, {most}; exchange them",
-                    {"low": low, "least": getattr(self, low), "high": high, "most": getattr(self, high)},
-                )
-        return self
 
 
 class NearBallSettings(BallSettings):
     """Settings of tasks that begin with a ball within a few steps."""
 
-    ranges: ClassVar[tuple[tuple[str, str], ...]] = (("ball_near_m", "ball_far_m"),)
+    ranges = (("ball_near_m", "ball_far_m"),)
 
     ball_near_m: float = Field(
         default=0.35,
@@ -180,26 +165,16 @@ class BallTask(Task[Settings], Generic[Settings]):
         assert parameters.walker is not None, "filled in by resolve"
         self._walker = FrozenPolicy(parameters.walker)
         self._radius = self.robot.field.ball_radius_m
-        self._command: FloatArray = np.zeros((n, 3))  # the walker's: forward, sideways, turn
-        self._draws: IntArray = np.zeros(n, dtype=np.int64)
-        self._aim: FloatArray = np.zeros(n)  # direction in which the ball has to leave
+        self.add_array("command", 3)  # the walker's: forward, sideways, turn
+        self._draws: IntArray = self.add_array("draws", fill=0)
+        self._aim: FloatArray = self.add_array("aim")  # direction in which the ball has to leave
         self._entered = Entries(world)
-        self._sighted: FloatArray = np.zeros((n, 2))  # where the ball was last seen
-        self._expected: FloatArray = np.zeros((n, 2))  # its velocity
-        self._sightings: IntArray = np.zeros(n, dtype=np.int64)
-        self._unseen: IntArray = np.zeros(n, dtype=np.int64)  # steps since
-        self._start: FloatArray = np.zeros((n, 2))
-        self.arrays = {
-            "command": self._command,
-            "draws": self._draws,
-            "aim": self._aim,
-            "state": self._entered.numbers,
-            "sighted": self._sighted,
-            "expected": self._expected,
-            "sightings": self._sightings,
-            "unseen": self._unseen,
-            "start": self._start,
-        }
+        self.arrays["state"] = self._entered.numbers
+        self.add_array("sighted", 2)  # where the ball was last seen
+        self.add_array("expected", 2)  # its velocity
+        self.add_array("sightings", fill=0)
+        self.add_array("unseen", fill=0)  # steps since
+        self._start: FloatArray = self.add_array("start", 2)
         self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
         self.flags = (self._fallen,)
         self.entries: IntArray = np.full(n, -1)  # of the next episode: number of its state, -1 to draw one
@@ -209,10 +184,6 @@ class BallTask(Task[Settings], Generic[Settings]):
         self._seen_at = source(self._sight.arrays["ball_place"])
         self._first_sight = source(np.zeros(n, dtype=np.bool_), "first_sight")
         self._age = source(self._sight.arrays["ball_seen"])  # steps since it was seen
-
-    def stored(self, name: str) -> Number:
-        """Return an array of :attr:`arrays` for expressions."""
-        return source(self.arrays[name], f"task.{name}")
 
     # what is observed
 
@@ -343,6 +314,12 @@ class BallTask(Task[Settings], Generic[Settings]):
         self._entered.states = states
         # two alike: in one the camera reports in odd steps, in the other in even ones
         return Starts(np.repeat(self.robot.nominal[None], 2, axis=0))
+
+    def _drawn(self, rows: IntArray, stream: int, count: int) -> FloatArray:
+        """Return (count, k) new random numbers from 0 to 1 for the robots ``rows``, whose episode begins."""
+        numbers = uniform(self.seed + stream, self.world.streams[rows], self._draws[rows], count)
+        self._draws[rows] += 1
+        return numbers.T
 
     def _put(self, rows: IntArray, state: FloatArray, heading: FloatArray) -> None:
         """Put robots into the walker's states, numbered from 0 to 1, at the origin with (k,) headings."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Generic, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, cast
 
 import numpy as np
 from naosim.simulator import PLAIN, STEP_S, Ability, Scene, Starts
@@ -20,10 +20,11 @@ from typing_extensions import TypeVar
 from naosprint.tasks.observations import ObservationBlock, blocks
 from naosprint.tasks.starts import draw_start_poses
 from naosprint.tasks.world import World
-from naosprint.terms import Number
+from naosprint.terms import Number, source
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
+    from numpy.typing import NDArray
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
@@ -166,6 +167,15 @@ class Task(Plugin, Generic[Settings]):
         self.arrays: dict[str, AnyArray] = {}
         self.measurements: Sequence[Measurement] = ()
         self.flags: Sequence[BoolArray] = ()
+
+    def add_array(self, name: str, *columns: int, fill: float = 0.0) -> NDArray[Any]:
+        """Return a new array of :attr:`arrays` with one row per robot; its numbers are of the type of ``fill``."""
+        self.arrays[name] = array = np.full((self.n, *columns), fill)
+        return array
+
+    def stored(self, name: str) -> Number:
+        """Return an array of :attr:`arrays` for expressions."""
+        return source(self.arrays[name], f"task.{name}")
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return what a policy observes, in order; the robot's usual observations by default."""

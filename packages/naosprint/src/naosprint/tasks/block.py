@@ -16,7 +16,9 @@ from pydantic import Field
 from naosprint.tasks import rolling
 from naosprint.tasks.ball import BallSettings, BallTask
 from naosprint.tasks.base import End, RewardTerm
+from naosprint.tasks.episodes import rate_metric
 from naosprint.tasks.falls import FALL, FALL_RATE
+from naosprint.tasks.fields import between, fraction, weight
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock
 from naosprint.tasks.penalties import penalties
@@ -39,7 +41,6 @@ from naosprint.terms import (
     where,
 )
 from naosprint.terms.geometry import along
-from naosprint.terms.randomness import uniform
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,20 +68,14 @@ _NEAR_M = 0.25  # distance of the crossing from the torso at which the reward fo
 _SHARE = 0.3  # share of a new velocity in the perceived velocity of the ball
 _STREAM = 0xB10C
 
-SAVED = Metric(
-    "saved_rate",
-    "Saves",
-    "%",
-    "Fraction of the shots that are kept out of the goal by a robot that stays on its feet.",
-    1,
-    "higher",
-    "rate",
+SAVED = rate_metric(
+    "saved_rate", "Saves", "Fraction of the shots that are kept out of the goal by a robot that stays on its feet."
 )
-CONCEDED = Metric("conceded_rate", "Goals against", "%", "Fraction of the shots that go in.", 1, "lower", "rate")
+CONCEDED = rate_metric("conceded_rate", "Goals against", "Fraction of the shots that go in.", "lower")
 SAVE = End("saved", "Save")
 """The end of a shot that is saved."""
 
-STOPPED = Metric("stopped_rate", "Touched", "%", "Fraction of the shots that the robot touches.", 1, "higher", "rate")
+STOPPED = rate_metric("stopped_rate", "Touched", "Fraction of the shots that the robot touches.")
 
 
 class BlockSettings(BallSettings):
@@ -136,13 +131,10 @@ class BlockSettings(BallSettings):
         description="Largest angle of the ball's place from straight before the goal.",
         json_schema_extra={"unit": "deg"},
     )
-    sliding_fraction: float = Field(
-        default=0.5,
-        ge=0.0,
-        le=1.0,
-        title="Sliding shots",
-        description="Fraction of the shots that slide at first, as kicked balls do, and are faster by 7/5 until they "
-        "roll.",
+    sliding_fraction: float = fraction(
+        0.5,
+        "Sliding shots",
+        "Fraction of the shots that slide at first, as kicked balls do, and are faster by 7/5 until they roll.",
     )
     astray_m: float = Field(
         default=0.3,
@@ -152,19 +144,9 @@ class BlockSettings(BallSettings):
         description="Largest distance of the robot from where a keeper waits, along and across the goal line.",
         json_schema_extra={"unit": "m"},
     )
-    save_weight: float = Field(
-        default=5.0, ge=0.0, le=1000.0, title="Save weight", description="Reward for a shot that is saved."
-    )
-    goal_penalty: float = Field(
-        default=5.0, ge=0.0, le=1000.0, title="Goal penalty", description="Penalty for a shot that goes in."
-    )
-    cover_weight: float = Field(
-        default=0.05,
-        ge=0.0,
-        le=1000.0,
-        title="Cover weight",
-        description="Reward per step for standing where the ball comes.",
-    )
+    save_weight: float = weight(5.0, "Save weight", "Reward for a shot that is saved.")
+    goal_penalty: float = weight(5.0, "Goal penalty", "Penalty for a shot that goes in.")
+    cover_weight: float = weight(0.05, "Cover weight", "Reward per step for standing where the ball comes.")
 
 
 def draw_shot(
@@ -181,13 +163,12 @@ def draw_shot(
         slides: (k,) shots that slide at first.
     """
     angle = np.radians(settings.shot_angle_max_deg) * (2.0 * draw[0] - 1.0)
-    low, high = settings.shot_distance_min_m, settings.shot_distance_max_m
-    distance = low + (high - low) * draw[1]
+    distance = between(settings.shot_distance_min_m, settings.shot_distance_max_m, draw[1])
     # to a point between the posts, fast enough to get there
     target = (half_m - _INSIDE_M) * (2.0 * draw[2] - 1.0)
     needed = rolling.launch(_BEYOND * distance, np.zeros_like(distance))[0]
     slowest = np.minimum(np.maximum(settings.shot_speed_min_mps, needed), settings.shot_speed_max_mps)
-    speed = slowest + (settings.shot_speed_max_mps - slowest) * draw[3]
+    speed = between(slowest, settings.shot_speed_max_mps, draw[3])
     # it rolls against the way out, to whose left the goal's right is
     way = np.pi + rolling.aim(speed, distance * np.cos(angle), distance * np.sin(angle) - target, slides)
     return angle, distance, speed, way
@@ -228,11 +209,10 @@ class Block(BallTask[BlockSettings]):
         super().__init__(parameters, world, seed)
         n = self.n
         self.max_steps = round(12.0 / STEP_S)
-        self._goal: FloatArray = np.zeros((n, 2))  # middle of the goal line; the aim leads from it into the field
-        self._shot: FloatArray = np.zeros((n, 2))  # speed and distance
-        self._calm: IntArray = np.zeros(n, dtype=np.int64)  # steps for which the ball has not come nearer
-        self._touched: BoolArray = np.zeros(n, dtype=np.bool_)
-        self.arrays |= {"goal": self._goal, "shot": self._shot, "calm": self._calm, "touched": self._touched}
+        self._goal: FloatArray = self.add_array("goal", 2)  # middle of its line; the aim leads from it into the field
+        self._shot: FloatArray = self.add_array("shot", 2)  # speed and distance
+        self._calm: IntArray = self.add_array("calm", fill=0)  # steps for which the ball has not come nearer
+        self._touched: BoolArray = self.add_array("touched", fill=False)
         self._cover: FloatArray = np.zeros(n)
         self._conceded: BoolArray = np.zeros(n, dtype=np.bool_)
         self._saved: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -326,8 +306,7 @@ class Block(BallTask[BlockSettings]):
     def place(self, rows: IntArray) -> None:
         """Draw state and shot, and put the robot into the state before its goal, and the ball on its way."""
         settings, goal = self.parameters, self.robot.field.goal
-        draw = uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 9).T
-        self._draws[rows] += 1
+        draw = self._drawn(rows, _STREAM, 9)
         slides = draw[8] < settings.sliding_fraction
         angle, distance, speed, way = draw_shot(settings, 0.5 * goal.width_m, draw[1:5], slides)
         # the goal opens along +x; the robot faces roughly the ball

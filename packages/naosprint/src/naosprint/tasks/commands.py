@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from naosim.simulator import STEP_S
 from naospec import TaskSettings
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
+from naosprint.tasks.fields import Ranges, RangeSettings, between, fraction
 from naosprint.terms import Number, Store, clip, constant, hypot, maximum, source, sqrt, square, stack, total, where
 
 if TYPE_CHECKING:
@@ -55,8 +55,10 @@ class AccelerationSettings(TaskSettings):
         return tuple(getattr(self, name) for name in ACCELERATIONS)
 
 
-class CommandSettings(AccelerationSettings):
+class CommandSettings(AccelerationSettings, RangeSettings):
     """Settings of tasks that command a velocity."""
+
+    ranges: ClassVar[Ranges] = (("forward_min_mps", "forward_max_mps"),)
 
     forward_min_mps: float = Field(
         default=-0.5,
@@ -90,19 +92,9 @@ class CommandSettings(AccelerationSettings):
         description="Largest commanded turn rate in either direction.",
         json_schema_extra={"unit": "rad/s"},
     )
-    stand_fraction: float = Field(
-        default=0.1,
-        ge=0.0,
-        le=1.0,
-        title="Standing fraction",
-        description="Fraction of the commands that are to stand still.",
-    )
-    straight_fraction: float = Field(
-        default=0.3,
-        ge=0.0,
-        le=1.0,
-        title="Straight fraction",
-        description="Fraction of the moving commands without sideways speed and turning.",
+    stand_fraction: float = fraction(0.1, "Standing fraction", "Fraction of the commands that are to stand still.")
+    straight_fraction: float = fraction(
+        0.3, "Straight fraction", "Fraction of the moving commands without sideways speed and turning."
     )
     command_steps: int = Field(
         default=250,
@@ -119,15 +111,13 @@ class CommandSettings(AccelerationSettings):
         "is drawn outside is shortened to it. Hardly any robot can turn, sidestep and run at its fastest at once. "
         "Straight commands are drawn alike and lose only their other parts, so few of them are near the fastest.",
     )
-    command_growth: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1.0,
-        title="Growth of commands",
-        description=f"A robot's commands begin within {FIRST_RANGE:.0%} of their range; every command that it follows "
+    command_growth: float = fraction(
+        0.0,
+        "Growth of commands",
+        f"A robot's commands begin within {FIRST_RANGE:.0%} of their range; every command that it follows "
         "for a second adds this fraction of the rest, and every one that it misses, and every fall, takes it away. "
         "0: the whole range from the start.",
-        json_schema_extra={"training_only": True},
+        training_only=True,
     )
     command_error_mps: float = Field(
         default=0.3,
@@ -137,16 +127,6 @@ class CommandSettings(AccelerationSettings):
         description="Error of the velocity, at the end of a command, below which the command counts as followed.",
         json_schema_extra={"unit": "m/s", "with": ["command_growth"]},
     )
-
-    @model_validator(mode="after")
-    def _ordered_commands(self) -> Self:
-        if self.forward_min_mps > self.forward_max_mps:
-            raise PydanticCustomError(
-                "range",
-                "forward_min_mps: {low} is above forward_max_mps, {high}; exchange them",
-                {"low": self.forward_min_mps, "high": self.forward_max_mps},
-            )
-        return self
 
     def for_evaluation(self) -> Self:
         """Return the same settings with the whole range of commands from the start."""
@@ -163,7 +143,7 @@ def commanded(settings: CommandSettings, drawn: Number, scale: Number | None) ->
     """
     low, high = settings.forward_min_mps, settings.forward_max_mps
     moving = stack(
-        low + (high - low) * drawn[0],
+        between(low, high, drawn[0]),
         settings.sideways_max_mps * (2.0 * drawn[1] - 1.0),
         settings.turn_max_rad_s * (2.0 * drawn[2] - 1.0),
     )

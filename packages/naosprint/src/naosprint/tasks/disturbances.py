@@ -1,18 +1,13 @@
-"""Disturbances of the ideal world, to train robust policies and to test robustness.
-
-Evaluations have none unless they are set for the evaluation itself.
-"""
+"""Disturbances of the ideal world, to train robust policies and to test robustness."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
-from naosim.simulator import BALL, Ability, Variation
-from naospec import TaskSettings
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from naosim.simulator import BALL, Variation
 
+from naosprint.tasks.disturbance_settings import BallNoiseSettings, DisturbanceSettings
 from naosprint.tasks.observations import ObservationBlock
 from naosprint.terms import source
 from naosprint.terms.randomness import add_normal, normal, uniform
@@ -21,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from naosim.simulator import Simulator
+    from naospec import TaskSettings
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
@@ -39,211 +35,7 @@ NOISE = {
 """Standard deviations at ``sensor_noise`` 1: degrees, deg/s, entries of a quaternion, metres, deg/s, m/s^2."""
 
 
-_WORLD = (
-    "mass_variation",
-    "gain_variation",
-    "centre_of_mass_m",
-    "friction_min",
-    "friction_max",
-    "stiffness_min",
-    "stiffness_max",
-    "gravity_min",
-)
 _KINDS = ("pushes", "bodies", "friction", "stiffness", "delay", "noise")
-_REST = ("push_mps", "extra_delay", "extra_delay_max", "sensor_noise", "ball_noise_m")
-
-
-class DisturbanceSettings(TaskSettings):
-    """Settings of tasks that can be disturbed."""
-
-    push_mps: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=5.0,
-        title="Pushes",
-        description="Largest change of the torso's horizontal velocity by a push.",
-        json_schema_extra={"unit": "m/s", "needs": Ability.PUSHES},
-    )
-    push_steps: int = Field(
-        default=100,
-        ge=1,
-        le=100_000,
-        title="Steps between pushes",
-        description="Steps between two pushes, on average.",
-        json_schema_extra={"unit": "steps", "with": ["push_mps"]},
-    )
-    mass_variation: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.5,
-        title="Mass variation",
-        description="Each body's mass differs by up to this fraction, drawn for each robot.",
-        json_schema_extra={"needs": Ability.MASSES},
-    )
-    gain_variation: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.5,
-        title="Gain variation",
-        description="Stiffness and damping of each motor differ by up to this fraction, drawn for each robot.",
-        json_schema_extra={"needs": Ability.GAINS},
-    )
-    centre_of_mass_m: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.1,
-        title="Centre of mass",
-        description="The torso's center of mass is shifted by up to this distance along each axis, drawn for each "
-        "robot.",
-        json_schema_extra={"unit": "m", "needs": Ability.CENTRES},
-    )
-    friction_min: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=3.0,
-        title="Lowest friction",
-        description="Lower end of the factor of the friction of the robot with the ground, the ball and itself, drawn "
-        "for each robot.",
-        json_schema_extra={"needs": Ability.FRICTION, "off": 1.0},
-    )
-    friction_max: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=3.0,
-        title="Highest friction",
-        description="Upper end of that factor.",
-        json_schema_extra={"needs": Ability.FRICTION, "off": 1.0},
-    )
-    stiffness_min: float = Field(
-        default=1.0,
-        ge=0.05,
-        le=4.0,
-        title="Softest contacts",
-        description="Lower end of the factor of the stiffness of the robot's contacts with the ground and itself, "
-        "drawn for each robot; their damping has its root as a factor.",
-        json_schema_extra={"needs": Ability.STIFFNESS, "off": 1.0},
-    )
-    stiffness_max: float = Field(
-        default=1.0,
-        ge=0.05,
-        le=4.0,
-        title="Stiffest contacts",
-        description="Upper end of that factor; at most 4 for a T1 and 1 for a K1, by the steps of MuJoCo.",
-        json_schema_extra={"needs": Ability.STIFFER, "off": 1.0},
-    )
-    gravity_min: float = Field(
-        default=1.0,
-        ge=0.0,
-        le=1.0,
-        title="Lowest gravity",
-        description="Gravity of the first robot as a fraction of normal gravity, rising evenly to 1 for the last. "
-        "Light robots find a motion first, from which the others learn.",
-        json_schema_extra={"needs": Ability.GRAVITY, "off": 1.0},
-    )
-    extra_delay: int = Field(
-        default=0,
-        ge=0,
-        le=5,
-        title="Extra delay",
-        description="Steps by which every command acts later than the simulator's own delay.",
-        json_schema_extra={"unit": "steps"},
-    )
-    extra_delay_max: int | None = Field(
-        default=None,
-        ge=0,
-        le=5,
-        title="Most extra delay",
-        description="Upper end of the extra delay, drawn for each episode; left out: equal to the lower end.",
-        json_schema_extra={"unit": "steps"},
-    )
-    sensor_noise: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=10.0,
-        title="Sensor noise",
-        description="Factor of the perceptors' noise; 1 means 0.5 degrees for joint angles and 5 deg/s for the gyro.",
-    )
-    undisturbed_fraction: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.9,
-        title="Undisturbed fraction",
-        description="Fraction of the robots without disturbances, so that a policy stays fast in the ideal world.",
-        json_schema_extra={"with": [*_WORLD, *_REST]},
-    )
-    disturbance_probability: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=1.0,
-        title="Probability of a disturbance",
-        description="Probability with which a disturbed robot has each kind of disturbance: pushes; masses, motors and "
-        "center of mass; friction; stiffness; delay; noise. 1: all of them at once. With less, more robots learn from "
-        "one kind alone.",
-        json_schema_extra={"with": [*_WORLD, *_REST]},
-    )
-    disturbance_growth: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1.0,
-        title="Growth of disturbances",
-        description="A robot's disturbances begin without strength; every episode that succeeds adds this "
-        "fraction of their full strength, and every other one takes it away. 0: full strength from the start. The "
-        "extra delay's lower end and gravity do not grow.",
-        json_schema_extra={"training_only": True, "with": [*_WORLD, *_REST]},
-    )
-    episode_worlds: bool = Field(
-        default=False,
-        title="World of each episode",
-        description="Whether bodies, motors, friction and stiffness are drawn for every episode, as they always are "
-        "when disturbances grow; otherwise once for each robot.",
-        json_schema_extra={"with": [*_WORLD]},
-    )
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        for name, low, high in (
-            ("friction", self.friction_min, self.friction_max),
-            ("stiffness", self.stiffness_min, self.stiffness_max),
-        ):
-            if low > high:
-                raise PydanticCustomError(
-                    "range",
-                    "{name}_min: {low} is above {name}_max, {high}; exchange them",
-                    {"name": name, "low": low, "high": high},
-                )
-        if self.extra_delay_max is not None and self.extra_delay > self.extra_delay_max:
-            raise PydanticCustomError(
-                "range",
-                "extra_delay: {low} is above extra_delay_max, {high}; exchange them",
-                {"low": self.extra_delay, "high": self.extra_delay_max},
-            )
-        return self
-
-    def for_evaluation(self) -> Self:
-        """Return the same settings without disturbances."""
-        ideal = {name: DisturbanceSettings.model_fields[name].default for name in _NAMES}
-        return super().for_evaluation().model_copy(update=ideal)
-
-
-class BallNoiseSettings(TaskSettings):
-    """Settings of tasks whose ball can be seen with noise."""
-
-    ball_noise_m: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1.0,
-        title="Noise on the ball",
-        description="Standard deviation of where a robot sees the ball, in each direction, besides the simulator's own "
-        "rounding.",
-        json_schema_extra={"unit": "m"},
-    )
-
-    def for_evaluation(self) -> Self:
-        """Return the same settings with a ball that is seen where it is."""
-        return super().for_evaluation().model_copy(update={"ball_noise_m": 0.0})
-
-
-_NAMES = tuple(name for name in DisturbanceSettings.model_fields if name not in TaskSettings.model_fields)
 
 
 class Disturbances:
@@ -302,20 +94,17 @@ class Disturbances:
         self._drawn_at: FloatArray = np.stack(
             [np.zeros(n), self._strength], axis=1
         )  # episode and strength of the world
-        self.arrays: dict[str, AnyArray] = {}
         self._counts = bool(settings.push_mps or self._noise or self._ball_noise_m)
-        if self._counts:
-            self.arrays["count"] = self._count
-        if self._most:
-            self.arrays["waiting"] = self._waiting
-        if self._drawn:
-            self.arrays.update(delay=self._delay, acts=self._acts)
-        if self._drawn or self._redraws:
-            self.arrays["episode"] = self._episode
-        if self._redraws:
-            self.arrays["drawn_at"] = self._drawn_at
-        if self._grows:
-            self.arrays["strength"] = self._strength
+        kept: tuple[tuple[str, AnyArray, bool], ...] = (
+            ("count", self._count, self._counts),
+            ("waiting", self._waiting, self._most > 0),
+            ("delay", self._delay, self._drawn),
+            ("acts", self._acts, self._drawn),
+            ("episode", self._episode, self._drawn or self._redraws),
+            ("drawn_at", self._drawn_at, self._redraws),
+            ("strength", self._strength, self._grows),
+        )
+        self.arrays = {name: array for name, array, needed in kept if needed}
         self._softens = (settings.stiffness_min, settings.stiffness_max) != (1.0, 1.0)
         self._varies = bool(
             settings.mass_variation

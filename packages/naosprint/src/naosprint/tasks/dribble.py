@@ -15,7 +15,9 @@ from pydantic import Field
 
 from naosprint.tasks.ball import BallTask, NearBallSettings, components, principal
 from naosprint.tasks.base import End, RewardTerm
+from naosprint.tasks.episodes import rate_metric
 from naosprint.tasks.falls import FALL, FALL_RATE
+from naosprint.tasks.fields import between, weight
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock
 from naosprint.tasks.penalties import penalties
@@ -33,7 +35,6 @@ from naosprint.terms import (
     hypot,
     maximum,
     minimum,
-    randomness,
     sin,
     source,
     square,
@@ -83,39 +84,25 @@ BALL_ERROR = Metric(
     "lower",
 )
 AHEAD = Metric("ahead_m", "Ball ahead", "m", "Mean distance of the ball ahead of the torso.", 2, "lower")
-LOST_RATE = Metric(
-    "lost_rate", "Ball lost", "%", "Fraction of episodes that ended with a lost ball.", 1, "lower", "rate"
-)
-LINE = Metric(
+LOST_RATE = rate_metric("lost_rate", "Ball lost", "Fraction of episodes that ended with a lost ball.", "lower")
+LINE = rate_metric(
     "line_rate",
     "Along a line",
-    "%",
     "Fraction of the starts from which the ball is dribbled 10 m through a corridor of 1.5 m.",
-    1,
-    "higher",
-    "rate",
-    False,
+    live=False,
 )
-CORNER = Metric(
+CORNER = rate_metric(
     "corner_rate",
     "Around a corner",
-    "%",
     "Fraction of the turns of 90 degrees after which the ball is dribbled 10 m, from the third metre on in a corridor "
     "of 1.5 m.",
-    1,
-    "higher",
-    "rate",
-    False,
+    live=False,
 )
-KEPT = Metric(
+KEPT = rate_metric(
     "kept_rate",
     "Ball kept close",
-    "%",
     f"Fraction of the lines dribbled to their ends on which the ball is never more than {LEAD_M:g} m ahead.",
-    1,
-    "higher",
-    "rate",
-    False,
+    live=False,
 )
 COURSE_SPEED = Metric(
     "course_speed_mps",
@@ -140,7 +127,7 @@ FARTHEST = Metric(
 class DribbleSettings(NearBallSettings):
     """Settings of the task ``dribble``."""
 
-    ranges = (*NearBallSettings.ranges, ("speed_min_mps", "speed_max_mps"))
+    ranges = (("speed_min_mps", "speed_max_mps"),)
 
     aim_max_deg: float = Field(
         default=90.0,
@@ -195,15 +182,9 @@ class DribbleSettings(NearBallSettings):
         title="Course",
         description="Dribble along two lines of 10 m with a turn of 90 degrees between them, as in evaluations.",
     )
-    near_weight: float = Field(
-        default=0.3, ge=0.0, le=1000.0, title="Near weight", description="Reward per step for a ball that is near."
-    )
-    offset_penalty: float = Field(
-        default=0.4,
-        ge=0.0,
-        le=1000.0,
-        title="Offset penalty",
-        description="Penalty per step and meter of the ball's distance from the line.",
+    near_weight: float = weight(0.3, "Near weight", "Reward per step for a ball that is near.")
+    offset_penalty: float = weight(
+        0.4, "Offset penalty", "Penalty per step and meter of the ball's distance from the line."
     )
 
     def for_evaluation(self) -> Self:
@@ -246,18 +227,11 @@ class Dribble(BallTask[DribbleSettings]):
         super().__init__(parameters, world, seed)
         n = self.n
         self.max_steps = parameters.episode_steps
-        self._speed: FloatArray = np.zeros(n)  # commanded, m/s
-        self._line: FloatArray = np.zeros((n, 2))  # where the line begins
-        self._lines: IntArray = np.zeros(n, dtype=np.int64)  # that have begun
-        self._flow: FloatArray = np.zeros((n, 2))  # the ball's velocity, averaged
-        self._sums: FloatArray = np.zeros((n, 3))  # of the ball's speed, its error, and how far ahead it is
-        self.arrays |= {
-            "speed": self._speed,
-            "line": self._line,
-            "lines": self._lines,
-            "flow": self._flow,
-            "sums": self._sums,
-        }
+        self._speed: FloatArray = self.add_array("speed")  # commanded, m/s
+        self._line: FloatArray = self.add_array("line", 2)  # where the line begins
+        self._lines: IntArray = self.add_array("lines", fill=0)  # that have begun
+        self._flow: FloatArray = self.add_array("flow", 2)  # the ball's velocity, averaged
+        self._sums: FloatArray = self.add_array("sums", 3)  # of the ball's speed, its error, and how far ahead it is
         self._error: FloatArray = np.zeros(n)
         self._offset: FloatArray = np.zeros(n)
         self._ahead: FloatArray = np.zeros(n)
@@ -328,14 +302,13 @@ class Dribble(BallTask[DribbleSettings]):
     def place(self, rows: IntArray) -> None:
         """Draw state, ball, first line and speed, and put the robot into the state and the ball to its place."""
         settings = self.parameters
-        draw = randomness.uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 6).T
-        self._draws[rows] += 1
+        draw = self._drawn(rows, _STREAM, 6)
         heading = 2.0 * np.pi * draw[1]
         self._put(rows, draw[0], heading)
-        ahead = settings.ball_near_m + (settings.ball_far_m - settings.ball_near_m) * draw[2]
+        ahead = between(settings.ball_near_m, settings.ball_far_m, draw[2])
         self._put_ball(rows, heading, ahead, settings.ball_aside_m * (2.0 * draw[3] - 1.0))
         self._aim[rows] = principal(heading + np.radians(settings.aim_max_deg) * (2.0 * draw[4] - 1.0))
-        self._speed[rows] = settings.speed_min_mps + (settings.speed_max_mps - settings.speed_min_mps) * draw[5]
+        self._speed[rows] = between(settings.speed_min_mps, settings.speed_max_mps, draw[5])
         self._line[rows] = self._start[rows]
         self._lines[rows] = 1
 
@@ -387,7 +360,7 @@ class Dribble(BallTask[DribbleSettings]):
             drawn = uniform(self.seed + _STREAM + 1, streams, moments, 3)
             begins = drawn[0] < 1.0 / settings.line_steps
             turn = np.radians(settings.turn_max_deg) * (2.0 * drawn[1] - 1.0)
-            drawn_speed = settings.speed_min_mps + (settings.speed_max_mps - settings.speed_min_mps) * drawn[2]
+            drawn_speed = between(settings.speed_min_mps, settings.speed_max_mps, drawn[2])
         renewed = given("new_line", fresh) & (self.stored("sightings") > 0.0)
         return [
             Store(fresh, update=begins),

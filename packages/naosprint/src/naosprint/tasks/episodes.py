@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from naospec.metrics import Metric, Result
+from naospec.metrics import Better, Metric, Result
 
 from naosprint.tasks.statistics import bootstrap_mean, median_ranks, wilson
 
@@ -14,6 +14,19 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from naosprint.arrays import BoolArray, FloatArray
+
+
+def rate_metric(
+    name: str,
+    title: str,
+    description: str,
+    better: Better | None = "higher",
+    *,
+    live: bool = True,
+    families: tuple[str, ...] | None = None,
+) -> Metric:
+    """Return a metric that is the fraction of the episodes for which something is true."""
+    return Metric(name, title, "%", description, 1, better, "rate", live, families)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeVar
 
 from naospec import TaskSettings
-from naospec.metrics import Metric
 from pydantic import Field
 
 from naosprint.tasks.base import End
+from naosprint.tasks.episodes import rate_metric
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 FALL = End("fallen", "Fall", failure=True)
 """End of an episode whose torso sinks below the minimum height."""
 
-FALL_RATE = Metric("fall_rate", "Falls", "%", "Fraction of episodes that ended by a fall.", 1, "lower", "rate")
+FALL_RATE = rate_metric("fall_rate", "Falls", "Fraction of episodes that ended by a fall.", "lower")
 
 
 class FallSettings(TaskSettings):

@@ -10,7 +10,9 @@ from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm, Task
-from naosprint.tasks.disturbances import DisturbanceSettings
+from naosprint.tasks.disturbance_settings import DisturbanceSettings
+from naosprint.tasks.episodes import rate_metric
+from naosprint.tasks.fields import fraction, weight
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.motions import Motion, motions
 from naosprint.tasks.observations import ObservationBlock, blocks, radians
@@ -56,17 +58,9 @@ LIMIT_S = 3.0
 
 _STREAM = 0x6E7
 
-STANDING_RATE = Metric(
-    "standing_rate", "Standing at the end", "%", "Fraction of episodes that end standing.", 1, "higher", "rate"
-)
-SUCCESS_RATE = Metric(
-    "success_rate",
-    "Up within 3 s",
-    "%",
-    "Fraction of episodes in which the robot stands within 3 s and stays up for 0.5 s.",
-    1,
-    "higher",
-    "rate",
+STANDING_RATE = rate_metric("standing_rate", "Standing at the end", "Fraction of episodes that end standing.")
+SUCCESS_RATE = rate_metric(
+    "success_rate", "Up within 3 s", "Fraction of episodes in which the robot stands within 3 s and stays up for 0.5 s."
 )
 TIME = Metric(
     "time_s",
@@ -92,12 +86,10 @@ class GetUpSettings(PenaltySettings, DisturbanceSettings):
         description="Each joint of a lying robot is offset from its nominal angle by up to this angle.",
         json_schema_extra={"unit": "deg"},
     )
-    side_fraction: float = Field(
-        default=0.5,
-        ge=0.0,
-        le=1.0,
-        title="Fraction of sides",
-        description="Fraction of robots that have tipped over to the left or right; the others lie on front and back. "
+    side_fraction: float = fraction(
+        0.5,
+        "Fraction of sides",
+        "Fraction of robots that have tipped over to the left or right; the others lie on front and back. "
         "Evaluations have as many of either.",
     )
     episode_steps: int = Field(
@@ -108,13 +100,7 @@ class GetUpSettings(PenaltySettings, DisturbanceSettings):
         description="Length of an episode.",
         json_schema_extra={"unit": "steps"},
     )
-    pose_weight: float = Field(
-        default=0.5,
-        ge=0.0,
-        le=1000.0,
-        title="Pose weight",
-        description="Weight of being near the nominal pose while upright.",
-    )
+    pose_weight: float = weight(0.5, "Pose weight", "Weight of being near the nominal pose while upright.")
 
     def for_evaluation(self) -> Self:
         """Return the settings without disturbances, with sides and episodes as usual, whatever the training's were."""
@@ -196,10 +182,9 @@ class GetUp(Task[GetUpSettings]):
             moves = [*(scripted[side] for side in SIDES), scripted["right"].mirrored(self.robot)]
             self._demonstrations = self._actions(moves)
         self.max_steps = parameters.episode_steps
-        self._held: IntArray = np.zeros(self.n, dtype=np.int64)
-        self._stood_at: IntArray = np.zeros(self.n, dtype=np.int64)  # 0: not yet
-        self._side: IntArray = np.zeros(self.n, dtype=np.int64)
-        self.arrays = {"held": self._held, "stood_at": self._stood_at, "side": self._side}
+        self._held: IntArray = self.add_array("held", fill=0)
+        self._stood_at: IntArray = self.add_array("stood_at", fill=0)  # 0: not yet
+        self._side: IntArray = self.add_array("side", fill=0)
         self.measurements = (StoredNumbers(self._attempt()),)
 
     def _attempt(self) -> list[Store]:

@@ -20,22 +20,8 @@ from naosprint.tasks import rolling
 from naosprint.tasks.ball import BallTask, principal
 from naosprint.tasks.base import End, RewardTerm
 from naosprint.tasks.falls import FALL, FALL_RATE
-from naosprint.tasks.kick_results import (
-    CONTACT,
-    CORRIDOR_5,
-    DISTANCE,
-    DISTANCE_ERROR,
-    GOAL,
-    LAUNCH_ERROR,
-    POWER,
-    ROLL,
-    ROLL_ERROR,
-    STOP_ERROR,
-    STOP_ERROR_90,
-    UPRIGHT_RATE,
-    UPRIGHT_S,
-    Kicks,
-)
+from naosprint.tasks.fields import between
+from naosprint.tasks.kick_results import METRICS, RESULTS, UPRIGHT_S, Kicks
 from naosprint.tasks.kick_settings import KickSettings
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock
@@ -63,7 +49,6 @@ from naosprint.terms import (
     where,
 )
 from naosprint.terms.geometry import along
-from naosprint.terms.randomness import uniform
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -100,8 +85,8 @@ class Kick(BallTask[KickSettings]):
     name = "kick"
     summary = "Kick a ball to a commanded point, from walking, and keep standing."
     Parameters = KickSettings
-    metrics = (CONTACT, LAUNCH_ERROR, ROLL, ROLL_ERROR, FALL_RATE)
-    results = (UPRIGHT_RATE, CORRIDOR_5, STOP_ERROR, STOP_ERROR_90, DISTANCE_ERROR, GOAL, POWER, DISTANCE)
+    metrics = (*METRICS, FALL_RATE)
+    results = RESULTS
     ends = (FALL, End("done", "Kick"), End("missed", "No kick"))
     trace = ("ball_x", "ball_y", "touched", "direction", "distance", "aligned", "launch_error", "roll_x", "roll_y")
     presentation = Presentation(
@@ -128,39 +113,24 @@ class Kick(BallTask[KickSettings]):
         n, settings = self.n, parameters
         rest = _ROLL_STEPS if settings.whole_roll else settings.takeover_steps + settings.watch_steps + 50
         self.max_steps = settings.approach_steps + rest
-        self._target: FloatArray = np.zeros((n, 2))  # direction in the field, distance
-        self._speed: FloatArray = np.zeros(n)  # speed with which the ball has to roll off
-        self._power: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._aligned: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._side: FloatArray = np.ones(n)  # 1: kick with the left foot
-        self._kicked: IntArray = np.full(n, -1)  # steps since the perceived kick
-        self._touched: IntArray = np.full(n, -1)  # steps since the true touch
-        self._score: FloatArray = np.zeros(n)
-        self._launch: FloatArray = np.zeros((n, 2))  # error of the direction, roll in metres
-        self.arrays |= {
-            "target": self._target,
-            "speed": self._speed,
-            "power": self._power,
-            "aligned": self._aligned,
-            "side": self._side,
-            "kicked": self._kicked,
-            "touched": self._touched,
-            "score": self._score,
-            "launch": self._launch,
-        }
+        self._target: FloatArray = self.add_array("target", 2)  # direction in the field, distance
+        self._speed: FloatArray = self.add_array("speed")  # speed with which the ball has to roll off
+        self._power: BoolArray = self.add_array("power", fill=False)
+        self._aligned: BoolArray = self.add_array("aligned", fill=False)
+        self.add_array("side", fill=1.0)  # 1: kick with the left foot
+        self._kicked: IntArray = self.add_array("kicked", fill=-1)  # steps since the perceived kick
+        self._touched: IntArray = self.add_array("touched", fill=-1)  # steps since the true touch
+        self._score: FloatArray = self.add_array("score")
+        self._launch: FloatArray = self.add_array("launch", 2)  # error of the direction, roll in metres
         if settings.sight_share < 1.0:
-            self.arrays["tracked"] = np.zeros((n, 2))  # where the ball is, evened out over sights
+            self.add_array("tracked", 2)  # where the ball is, evened out over sights
         self._again = settings.least_share > 0.0
-        self._asked: FloatArray = np.zeros((n, 2))  # aim and speed of the first kick, by which all are scored
-        self._since: IntArray = np.full(n, -1) if self._again else self._touched  # steps since the last kick's touch
         if self._again:
-            self.arrays |= {
-                "asked": self._asked,
-                "since": self._since,
-                "weak": np.zeros(n, dtype=np.bool_),  # the last kick was too weak
-                "noticed": np.zeros((n, 2)),  # where the ball was when a kick was perceived
-                "point": np.zeros((n, 2)),  # where the ball is to be kicked to
-            }
+            self.add_array("asked", 2)  # aim and speed of the first kick, by which all are scored
+            self.add_array("since", fill=-1)  # steps since the last kick's touch
+            self.add_array("weak", fill=False)  # the last kick was too weak
+            self.add_array("noticed", 2)  # where the ball was when a kick was perceived
+            self.add_array("point", 2)  # where the ball is to be kicked to
         self._walks: BoolArray = np.zeros(n, dtype=np.bool_)
         self.frozen = self._walks
         self._gain: FloatArray = np.zeros(n)
@@ -309,31 +279,28 @@ class Kick(BallTask[KickSettings]):
     def place(self, rows: IntArray) -> None:
         """Draw state, ball and command, and put the robot into the state and the ball to its place."""
         settings = self.parameters
-        draw = uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 13).T
-        self._draws[rows] += 1
+        draw = self._drawn(rows, _STREAM, 13)
         heading = 2.0 * np.pi * draw[1]
         self._put(rows, draw[0], heading)
         # where the ball is to be kicked, and where to, in the robot's frame
         aligned = draw[2] < settings.aligned_fraction
         most, near, far, line = _ALIGNED
         aim = np.where(aligned, most, np.radians(settings.aim_max_deg)) * (2.0 * draw[3] - 1.0)
-        ahead = np.where(
-            aligned,
-            near + (far - near) * draw[4],
-            settings.ball_near_m + (settings.ball_far_m - settings.ball_near_m) * draw[4],
-        )
+        anywhere = between(settings.ball_near_m, settings.ball_far_m, draw[4])
+        ahead = np.where(aligned, between(near, far, draw[4]), anywhere)
         foot = self.world.defaults.foot_line_m * np.where(draw[5] < 0.5, -1.0, 1.0)
         beside = foot + line * (2.0 * draw[6] - 1.0)
         aside = np.where(
             aligned, (beside + np.sin(aim) * ahead) / np.cos(aim), settings.ball_aside_m * (2.0 * draw[6] - 1.0)
         )
         self._power[rows] = draw[7] < settings.power_fraction
-        drawn = settings.distance_min_m + (settings.distance_max_m - settings.distance_min_m) * draw[8]
+        drawn = between(settings.distance_min_m, settings.distance_max_m, draw[8])
         self._aligned[rows] = aligned
         self._target[rows, 0] = principal(heading + aim)
         self._target[rows, 1] = np.where(self._power[rows], KickSettings.model_fields["distance_max_m"].default, drawn)
         self._speed[rows], self._aim[rows] = self._launched(self._target[rows], self._power[rows])
-        self._asked[rows] = np.stack([self._aim[rows], self._speed[rows]], axis=1)
+        if self._again:
+            self.arrays["asked"][rows] = np.stack([self._aim[rows], self._speed[rows]], axis=1)
         # a rolling ball gets there after 0.3 to 0.8 s
         rolls = draw[9] < settings.rolling_fraction
         velocity = np.where(rolls, settings.ball_speed_max_mps * draw[10], 0.0)
@@ -379,7 +346,7 @@ class Kick(BallTask[KickSettings]):
         world, settings, zero = self.world, self.parameters, constant(0.0)
         names = ("touched", "launch", "score", "kicked")
         touched, launch, score, kicked = (self.stored(name) for name in names)
-        since = self.stored("since") if self._again else touched
+        since = self._since
         gain, placed, fallen, done = (source(each) for each in (self._gain, self._placed, self._fallen, self._done))
         fresh, before = source(np.zeros(self.n, dtype=np.bool_)), source(np.zeros(self.n))
         live = (since >= 0.0) & ~(since > _SETTLED)
@@ -411,6 +378,11 @@ class Kick(BallTask[KickSettings]):
             Store(since, begin=constant(-1.0), update=where(self.stored("weak"), -1.0, since + (since >= 0.0))),
             Store(since, update=where((since < 0.0) & touches, 0.0, since)),
         ]
+
+    @property
+    def _since(self) -> Number:
+        """Steps since the touch of the latest kick that was not too weak."""
+        return self.stored("since" if self._again else "touched")
 
     @property
     def _scored_by(self) -> Number:
@@ -462,7 +434,7 @@ class Kick(BallTask[KickSettings]):
             RewardTerm("upright", settings.upright_weight, source(self._done)),
             RewardTerm("fall", -settings.fall_penalty, source(self._fallen)),
             RewardTerm("miss", -settings.miss_penalty, source(self._missed)),
-            RewardTerm("time", -settings.time_penalty, self.stored("since" if self._again else "touched") < 0.0),
+            RewardTerm("time", -settings.time_penalty, self._since < 0.0),
             *penalties(self.world, settings),
         )
 

@@ -10,6 +10,7 @@ from naospec.metrics import Metric, Result, ResultTable
 
 from naosprint.tasks import rolling
 from naosprint.tasks.ball import components, principal
+from naosprint.tasks.episodes import rate_metric
 
 if TYPE_CHECKING:
     from naosprint.arrays import BoolArray
@@ -27,9 +28,7 @@ GOAL_M, GOAL_HALF_M = 8.0, 1.83
 UPRIGHT_S = 3.0
 """Time after the touch at which a robot has to be upright, seconds."""
 
-CONTACT = Metric(
-    "contact_rate", "Touches", "%", "Fraction of episodes in which the ball is touched.", 1, "higher", "rate"
-)
+CONTACT = rate_metric("contact_rate", "Touches", "Fraction of episodes in which the ball is touched.")
 LAUNCH_ERROR = Metric(
     "launch_error_deg",
     "Launch error",
@@ -49,15 +48,8 @@ ROLL_ERROR = Metric(
     0,
     "lower",
 )
-UPRIGHT_RATE = Metric(
-    "upright_rate",
-    "Upright after 3 s",
-    "%",
-    "Fraction of the kicks 3 s after which the robot stands.",
-    1,
-    "higher",
-    "rate",
-    False,
+UPRIGHT_RATE = rate_metric(
+    "upright_rate", "Upright after 3 s", "Fraction of the kicks 3 s after which the robot stands.", live=False
 )
 STOP_ERROR = Metric(
     "stop_error_deg",
@@ -98,37 +90,27 @@ DISTANCE_ERROR = Metric(
     "lower",
     live=False,
 )
-CORRIDOR = Metric(
+CORRIDOR = rate_metric(
     "corridor_rate",
     "Through the corridor",
-    "%",
     "Fraction of the kicks that are to go at least so far, stay within a corridor of 1 m, and leave the robot upright.",
-    1,
-    "higher",
-    "rate",
-    False,
+    live=False,
 )
-CORRIDOR_5 = Metric(
-    "corridor_5_rate",
-    "Corridor of 5 m",
-    "%",
-    "Fraction of those kicks through a corridor of 5 m.",
-    1,
-    "higher",
-    "rate",
-    False,
+CORRIDOR_5 = rate_metric(
+    "corridor_5_rate", "Corridor of 5 m", "Fraction of those kicks through a corridor of 5 m.", live=False
 )
-GOAL = Metric(
+GOAL = rate_metric(
     "goal_rate",
     "Into a goal 8 m away",
-    "%",
     "Fraction of the kicks that are to go at least 8 m, cross the line of a goal of 3.66 m there, and leave the robot "
     "upright.",
-    1,
-    "higher",
-    "rate",
-    False,
+    live=False,
 )
+METRICS = (CONTACT, LAUNCH_ERROR, ROLL, ROLL_ERROR)
+"""What trainings report, too."""
+
+RESULTS = (UPRIGHT_RATE, CORRIDOR_5, STOP_ERROR, STOP_ERROR_90, DISTANCE_ERROR, GOAL, POWER, DISTANCE)
+"""What only evaluations report."""
 
 
 class Kicks:

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from naosprint.tasks.ball import NearBallSettings
+from naosprint.tasks.fields import fraction, weight
 
 _SIGHTS_APART = 2  # steps between two sights of the ball
 
@@ -15,14 +16,12 @@ _SIGHTS_APART = 2  # steps between two sights of the ball
 class KickSettings(NearBallSettings):
     """Settings of the task ``kick``."""
 
-    ranges = (*NearBallSettings.ranges, ("distance_min_m", "distance_max_m"))
+    ranges = (("distance_min_m", "distance_max_m"),)
 
-    aligned_fraction: float = Field(
-        default=0.65,
-        ge=0.0,
-        le=1.0,
-        title="Aligned fraction",
-        description="Fraction of the episodes with an aim within 10 degrees, and a ball 0.45 to 0.9 m ahead and within "
+    aligned_fraction: float = fraction(
+        0.65,
+        "Aligned fraction",
+        "Fraction of the episodes with an aim within 10 degrees, and a ball 0.45 to 0.9 m ahead and within "
         "6 cm of a foot's line.",
     )
     aim_max_deg: float = Field(
@@ -33,13 +32,7 @@ class KickSettings(NearBallSettings):
         description="Largest angle between the robot's front and the commanded direction in the other episodes.",
         json_schema_extra={"unit": "deg"},
     )
-    rolling_fraction: float = Field(
-        default=0.1,
-        ge=0.0,
-        le=1.0,
-        title="Rolling fraction",
-        description="Fraction of the episodes with a rolling ball.",
-    )
+    rolling_fraction: float = fraction(0.1, "Rolling fraction", "Fraction of the episodes with a rolling ball.")
     ball_speed_max_mps: float = Field(
         default=1.5,
         ge=0.0,
@@ -64,12 +57,8 @@ class KickSettings(NearBallSettings):
         description="Upper end of the commanded distance.",
         json_schema_extra={"unit": "m"},
     )
-    power_fraction: float = Field(
-        default=0.4,
-        ge=0.0,
-        le=1.0,
-        title="Power kicks",
-        description="Fraction of the kicks that are to go as far as possible; their commanded distance is 10 m.",
+    power_fraction: float = fraction(
+        0.4, "Power kicks", "Fraction of the kicks that are to go as far as possible; their commanded distance is 10 m."
     )
     takeover_steps: int = Field(
         default=6,
@@ -104,12 +93,10 @@ class KickSettings(NearBallSettings):
         description="Share of a new sight in the place from which the ball is expected to roll on; 1: the last sight "
         "alone. A smaller one evens out noise, and adds up what a soft kick moves the ball in several sights.",
     )
-    least_share: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1.0,
-        title="Weakest kick",
-        description="Smallest share of the way to its target that a kicked ball may roll, as the robot perceives it; "
+    least_share: float = fraction(
+        0.0,
+        "Weakest kick",
+        "Smallest share of the way to its target that a kicked ball may roll, as the robot perceives it; "
         "after a weaker kick the robot kicks again. 0: it kicks once.",
     )
     approach_steps: int = Field(
@@ -125,12 +112,8 @@ class KickSettings(NearBallSettings):
         title="Whole roll",
         description="Episodes end when the ball has stopped and 3 s have passed, as in evaluations.",
     )
-    place_weight: float = Field(
-        default=1.0,
-        ge=0.0,
-        le=1000.0,
-        title="Placement weight",
-        description="Reward for a first touch with the ball before the foot, whose yaw is that of the aim.",
+    place_weight: float = weight(
+        1.0, "Placement weight", "Reward for a first touch with the ball before the foot, whose yaw is that of the aim."
     )
     distance_spread: float = Field(
         default=0.35,
@@ -140,15 +123,9 @@ class KickSettings(NearBallSettings):
         description="Logarithm of actual to commanded roll at which the distance's score has fallen to 1/e: of 0.35, "
         "a roll of 1.4 times the commanded one. A smaller one asks for more precise passes, once kicks are close.",
     )
-    upright_weight: float = Field(
-        default=1.0, ge=0.0, le=1000.0, title="Upright weight", description="Reward for an episode that ends upright."
-    )
-    miss_penalty: float = Field(
-        default=1.0, ge=0.0, le=1000.0, title="Miss penalty", description="Penalty for an episode without a kick."
-    )
-    time_penalty: float = Field(
-        default=0.002, ge=0.0, le=1.0, title="Time penalty", description="Penalty per step before the first touch."
-    )
+    upright_weight: float = weight(1.0, "Upright weight", "Reward for an episode that ends upright.")
+    miss_penalty: float = weight(1.0, "Miss penalty", "Penalty for an episode without a kick.")
+    time_penalty: float = fraction(0.002, "Time penalty", "Penalty per step before the first touch.")
 
     @model_validator(mode="after")
     def _weighed(self) -> Self:

@@ -8,9 +8,9 @@ import numpy as np
 from naosim.simulator import Ability
 from naospec import TaskSettings
 from naospec.abilities import perceptor
-from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm
+from naosprint.tasks.fields import weight
 from naosprint.terms import constant, maximum, mean, square, total
 
 if TYPE_CHECKING:
@@ -23,35 +23,21 @@ HOP_FLOOR_DEG_S = 30.0
 class PenaltySettings(TaskSettings):
     """Weights of the shared penalties, in units of the task's reward before ``reward_scale``."""
 
-    torque_penalty: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1000.0,
-        title="Torque penalty",
-        description="Penalty per step for the mean square of the motors' torques as shares of their limits.",
-        json_schema_extra={"needs": Ability.TORQUES},
+    torque_penalty: float = weight(
+        0.0,
+        "Torque penalty",
+        "Penalty per step for the mean square of the motors' torques as shares of their limits.",
+        needs=Ability.TORQUES,
     )
-    smoothness_penalty: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1000.0,
-        title="Smoothness penalty",
-        description="Penalty per step for the mean square change of the action.",
+    smoothness_penalty: float = weight(
+        0.0, "Smoothness penalty", "Penalty per step for the mean square change of the action."
     )
-    action_penalty: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1000.0,
-        title="Action penalty",
-        description="Penalty per step for the mean square of the action.",
-    )
-    hop_penalty: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1000.0,
-        title="Hop penalty",
-        description="Penalty per step for left and right joints that move alike, as when hopping on both feet.",
-        json_schema_extra={"needs": perceptor("joint_speeds")},
+    action_penalty: float = weight(0.0, "Action penalty", "Penalty per step for the mean square of the action.")
+    hop_penalty: float = weight(
+        0.0,
+        "Hop penalty",
+        "Penalty per step for left and right joints that move alike, as when hopping on both feet.",
+        needs=perceptor("joint_speeds"),
     )
 
 

@@ -15,7 +15,8 @@ from naospec.metrics import Chart, FieldLine, Metric, Presentation, Reference, R
 from pydantic import Field
 
 from naosprint.tasks.base import End, RewardTerm, Task, seconds
-from naosprint.tasks.disturbances import DisturbanceSettings
+from naosprint.tasks.disturbance_settings import DisturbanceSettings
+from naosprint.tasks.episodes import rate_metric
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement
 from naosprint.tasks.penalties import PenaltySettings, penalties
@@ -71,18 +72,9 @@ CHALLENGE_PENALTY_M = 2.0
 DISTANCE = Metric("distance_m", "Distance", "m", "Forward displacement of the torso.", 2, "higher")
 SPEED = Metric("speed_mps", "Mean speed", "m/s", "Distance divided by duration, start included.", 2, "higher")
 LENGTH = Metric("episode_length", "Episode length", "steps", "Length of an episode.", 0, live=False)
-ARRIVAL_RATE = Metric(
-    "arrival_rate", "Arrivals", "%", "Fraction of episodes that reached the finish line.", 1, "higher", "rate", False
-)
-TIME_LIMIT_RATE = Metric(
-    "time_limit_rate",
-    "Time limits",
-    "%",
-    "Fraction of episodes that reached the time limit.",
-    1,
-    None,
-    "rate",
-    False,
+ARRIVAL_RATE = rate_metric("arrival_rate", "Arrivals", "Fraction of episodes that reached the finish line.", live=False)
+TIME_LIMIT_RATE = rate_metric(
+    "time_limit_rate", "Time limits", "Fraction of episodes that reached the time limit.", None, live=False
 )
 TOP_SPEED = Metric(
     "top_speed_mps",
@@ -103,16 +95,13 @@ DEVIATION = Metric(
     "lower",
     live=False,
 )
-LOW_AT_END = Metric(
+LOW_AT_END = rate_metric(
     "low_at_end",
     "Low at the end",
-    "%",
     f"Fraction of episodes with the torso below {PAPER_FALL_HEIGHT_M} m at the end.",
-    1,
     "lower",
-    "rate",
-    False,
-    NAO,
+    live=False,
+    families=NAO,
 )
 FLIGHT = Metric(
     "flight_share",
@@ -155,17 +144,14 @@ CHALLENGE_FLIGHT = Metric(
     live=False,
     families=NAO,
 )
-CHALLENGE_FALLS = Metric(
+CHALLENGE_FALLS = rate_metric(
     "run_challenge_fall_rate",
     "Run challenge falls",
-    "%",
     "Falls by the rules of the run challenge, in which a robot has fallen when its torso is below 0.25 m or tilted by "
     "more than 53 degrees at any time.",
-    1,
     "lower",
-    "rate",
-    False,
-    NAO,
+    live=False,
+    families=NAO,
 )
 
 

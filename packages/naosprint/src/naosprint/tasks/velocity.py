@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from naosim.simulator import STEP_S
-from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
+from naospec.metrics import Chart, Presentation, Result, ResultTable
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm, Task
-from naosprint.tasks.commands import SETTLING_S, CommandGrowth, CommandSettings, approached, commanded
-from naosprint.tasks.disturbances import DisturbanceSettings
+from naosprint.tasks.commands import CommandGrowth, CommandSettings, approached, commanded
+from naosprint.tasks.disturbance_settings import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
+from naosprint.tasks.fields import fraction, weight
 from naosprint.tasks.frozen import FrozenPolicy, require_entries
 from naosprint.tasks.handover import Entries, EntrySettings, joined, record_own
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.robot_defaults import robot_defaults
+from naosprint.tasks.velocity_results import ERROR, RESULTS, SPEED, followed
 from naosprint.tasks.world import World
 from naosprint.terms import (
     Number,
@@ -46,7 +47,7 @@ from naosprint.terms.geometry import along
 from naosprint.terms.randomness import uniform as uniform_numbers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from naosim.robots import Robot
     from naosim.simulator import Starts
@@ -65,168 +66,15 @@ FLIGHT_SPEED_MPS = 1.0
 OFFSET_LIMIT_M = 0.5
 """Largest distance from the commanded path that is observed and penalized, metres."""
 
-SETTLED_S = 2.0
-"""Time after which speed and error are measured in evaluations, seconds."""
-
-STOP_S, STOP_FROM_MPS, STOPPED_MPS = 1.5, 1.0, 0.3
-"""Time within which a robot has to stop, s; command from which it has to, m/s; and speed of one that has, m/s."""
-
-_STOP_MEAN_S = 0.2  # the speed at that time is a mean over these seconds before it
-
-ERROR = Metric(
-    "velocity_error_mps", "Velocity error", "m/s", "Mean distance between commanded and actual velocity.", 2, "lower"
-)
-SPEED = Metric("forward_mps", "Forward speed", "m/s", "Mean speed in the commanded heading.", 2)
-SETTLED_SPEED = Metric(
-    "forward_settled_mps",
-    "Forward speed after 2 s",
-    "m/s",
-    "Mean speed in the commanded heading after two seconds.",
-    2,
-    live=False,
-)
-RMSE = Metric(
-    "rmse_mps", "RMSE", "m/s", "Root mean square error of the velocity after two seconds.", 3, "lower", live=False
-)
-RMSE_WHOLE = Metric(
-    "rmse_whole_mps",
-    "RMSE, start included",
-    "m/s",
-    "Root mean square error of the velocity over the whole episode.",
-    3,
-    "lower",
-    live=False,
-)
-RMSE_SETTLED = Metric(
-    "rmse_settled_mps",
-    "Settled RMSE",
-    "m/s",
-    "Root mean square error of the velocity from one second after each new command on.",
-    3,
-    "lower",
-    live=False,
-)
-STOP_RATE = Metric(
-    "stop_rate",
-    "Stops within 1.5 s",
-    "%",
-    "Fraction of the commands to stand, after a forward command of 1 m/s or more, that bring the robot below 0.3 m/s "
-    "within 1.5 s; a fall is none.",
-    1,
-    "higher",
-    "rate",
-    False,
-)
-MEDIAN_SPEED = Metric(
-    "median_forward_mps",
-    "Median forward speed after 2 s",
-    "m/s",
-    "Median over the episodes of the mean forward speed after two seconds; 0 where an episode is shorter.",
-    2,
-    live=False,
-)
-MEDIAN_RMSE = Metric(
-    "median_rmse_mps",
-    "Median RMSE",
-    "m/s",
-    "Median over the episodes of the RMSE after two seconds.",
-    3,
-    "lower",
-    live=False,
-)
-MEDIAN_RMSE_WHOLE = Metric(
-    "median_rmse_whole_mps",
-    "Median RMSE, start included",
-    "m/s",
-    "Median over the episodes of the RMSE over the whole episode.",
-    3,
-    "lower",
-    live=False,
-)
-MEDIAN_DRIFT = Metric(
-    "median_drift_m", "Median drift", "m", "Median over the episodes of the drift.", 2, "lower", live=False
-)
-TURN_RMSE = Metric(
-    "turn_rmse_rad_s",
-    "Turn RMSE",
-    "rad/s",
-    "Root mean square error of the turn rate after two seconds.",
-    3,
-    "lower",
-    live=False,
-)
-DRIFT = Metric("drift_m", "Drift", "m", "Distance from the commanded path at the end.", 2, "lower", live=False)
-UPRIGHT = Metric("upright_rate", "Upright", "%", "Fraction of episodes without a fall.", 1, "higher", "rate", False)
-FLIGHT = Metric(
-    "flight_share",
-    "Both feet off the ground",
-    "%",
-    "Fraction of the time with both feet off the ground.",
-    1,
-    live=False,
-)
-FLIGHT_RATE = Metric(
-    "flight_rate",
-    "Episodes with flight",
-    "%",
-    "Fraction of episodes in which both feet are off the ground for two successive contact measurements.",
-    1,
-    "higher",
-    "rate",
-    False,
-)
-
-
-def _applied(trace: FloatArray) -> FloatArray:
-    """Return a (T, 8) trace in which the command of each step is the one that the robot had in it, not the next."""
-    trace = trace.copy()
-    trace[1:, 3:6] = trace[:-1, 3:6].copy()
-    return trace
-
-
-def _changes(trace: FloatArray) -> IntArray:
-    """Return the samples of a (T, 8) trace with which a new command begins, the start among them."""
-    return np.concatenate(([0], 1 + np.flatnonzero((trace[1:, 3:6] != trace[:-1, 3:6]).any(axis=1))))
-
-
-def _settled_errors(trace: FloatArray) -> FloatArray:
-    """Return the (k, 2) velocity errors of a (T, 8) trace from ``SETTLING_S`` after each new command on."""
-    changes, samples = _changes(trace), np.arange(len(trace))
-    since = samples - changes[np.searchsorted(changes, samples, side="right") - 1]
-    late = trace[since >= round(SETTLING_S / STEP_S)]
-    return np.asarray(late[:, :2] - late[:, 3:5])
-
-
-def _stops(trace: FloatArray, fallen: bool) -> Iterator[bool]:
-    """Yield for each command to stand of a (T, 8) trace that had to stop the robot whether it did.
-
-    Left out are commands that the next one, or the episode's end without a fall, follows within ``STOP_S``.
-    """
-    changes = _changes(trace)
-    steps, mean = round(STOP_S / STEP_S), round(_STOP_MEAN_S / STEP_S)
-    for number in range(1, len(changes)):
-        first, is_last = changes[number], number == len(changes) - 1
-        end = len(trace) if is_last else changes[number + 1]
-        if trace[first, 3:6].any() or trace[first - 1, 3] < STOP_FROM_MPS:
-            continue
-        if end - first >= steps:
-            velocity = trace[first + steps - mean : first + steps, :2].mean(axis=0)
-            yield bool(np.hypot(*velocity) < STOPPED_MPS)
-        elif is_last and fallen:
-            yield False
-
 
 class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, CommandSettings, EntrySettings):
     """Settings of the task ``velocity``."""
 
-    entry_fraction: float = Field(
-        default=0.5,
-        ge=0.0,
-        le=1.0,
-        title="Entry fraction",
-        description="Fraction of the episodes of trainings that begin with a state of the entry policies, if there are "
-        "any.",
-        json_schema_extra={"with": ["entry_policies"]},
+    entry_fraction: float = fraction(
+        0.5,
+        "Entry fraction",
+        "Fraction of the episodes of trainings that begin with a state of the entry policies, if there are any.",
+        **{"with": ["entry_policies"]},
     )
 
     episode_steps: int = Field(
@@ -237,9 +85,7 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, Comma
         description="Length limit of an episode.",
         json_schema_extra={"unit": "steps"},
     )
-    turn_weight: float = Field(
-        default=0.5, ge=0.0, le=1000.0, title="Turn weight", description="Weight of the turn rate's tracking reward."
-    )
+    turn_weight: float = weight(0.5, "Turn weight", "Weight of the turn rate's tracking reward.")
     speed_weight: float = Field(
         default=0.0,
         ge=0.0,
@@ -249,40 +95,20 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings, Comma
         "reward, which is 1 for standing. Fast commands are hard and rare; without it a robot rather misses them than "
         "risks a fall.",
     )
-    flight_weight: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1000.0,
-        title="Flight weight",
-        description=f"Reward per step with both feet off the ground at commands of {FLIGHT_SPEED_MPS:g} m/s and more.",
+    flight_weight: float = weight(
+        0.0,
+        "Flight weight",
+        f"Reward per step with both feet off the ground at commands of {FLIGHT_SPEED_MPS:g} m/s and more.",
     )
-    path_penalty: float = Field(
-        default=1.0,
-        ge=0.0,
-        le=1000.0,
-        title="Path penalty",
-        description="Penalty per step and meter of distance from the commanded path.",
+    path_penalty: float = weight(1.0, "Path penalty", "Penalty per step and meter of distance from the commanded path.")
+    heading_penalty: float = weight(
+        0.5, "Heading penalty", "Penalty per step for 1 - cos of the angle between torso and commanded heading."
     )
-    heading_penalty: float = Field(
-        default=0.5,
-        ge=0.0,
-        le=1000.0,
-        title="Heading penalty",
-        description="Penalty per step for 1 - cos of the angle between torso and commanded heading.",
-    )
-    tilt_penalty: float = Field(
-        default=0.2,
-        ge=0.0,
-        le=1000.0,
-        title="Tilt penalty",
-        description="Penalty per step for the squared sine of the torso's tilt.",
-    )
-    fall_penalty: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1000.0,
-        title="Fall penalty",
-        description="Penalty for a fall. Where rewards are normalized, what is ten standard deviations of a return or "
+    tilt_penalty: float = weight(0.2, "Tilt penalty", "Penalty per step for the squared sine of the torso's tilt.")
+    fall_penalty: float = weight(
+        0.0,
+        "Fall penalty",
+        "Penalty for a fall. Where rewards are normalized, what is ten standard deviations of a return or "
         "more counts as ten.",
     )
 
@@ -309,22 +135,7 @@ class Velocity(Task[VelocitySettings]):
     summary = "Follow a commanded velocity: forward, sideways, and turning."
     Parameters = VelocitySettings
     metrics = (ERROR, FALL_RATE, SPEED)
-    results = (
-        RMSE,
-        RMSE_WHOLE,
-        TURN_RMSE,
-        SETTLED_SPEED,
-        DRIFT,
-        MEDIAN_SPEED,
-        MEDIAN_RMSE,
-        MEDIAN_RMSE_WHOLE,
-        MEDIAN_DRIFT,
-        UPRIGHT,
-        FLIGHT,
-        FLIGHT_RATE,
-        RMSE_SETTLED,
-        STOP_RATE,
-    )
+    results = RESULTS
     ends = (FALL,)
     trace = (
         "forward_mps",
@@ -364,29 +175,21 @@ class Velocity(Task[VelocitySettings]):
         super().__init__(parameters, world, seed)
         n = self.n
         self.max_steps = parameters.episode_steps
-        self.command: FloatArray = np.zeros((n, 3))
+        self.command: FloatArray = self.add_array("command", 3)
+        self._draws: IntArray = self.add_array("draws", fill=0)
+        self.add_array("position", 2)
+        self.add_array("yaw")
+        self.add_array("perceived_position", 2)
+        self._heading: FloatArray = self.add_array("heading")
+        self._offset: FloatArray = self.add_array("offset")
+        self._errors: FloatArray = self.add_array("errors")
+        self._advance_m: FloatArray = self.add_array("advance")
+        if any(parameters.accelerations):
+            self.add_array("reference", 3)  # the velocity on the way to the command
         self.velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
-        self._draws: IntArray = np.zeros(n, dtype=np.int64)
-        self._heading: FloatArray = np.zeros(n)
         self._heading_error: FloatArray = np.zeros(n)
-        self._offset: FloatArray = np.zeros(n)
-        self._errors: FloatArray = np.zeros(n)
-        self._advance_m: FloatArray = np.zeros(n)
         self._tilt: FloatArray = np.zeros(n)
         self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
-        self.arrays = {
-            "command": self.command,
-            "draws": self._draws,
-            "position": np.zeros((n, 2)),
-            "yaw": np.zeros(n),
-            "perceived_position": np.zeros((n, 2)),
-            "heading": self._heading,
-            "offset": self._offset,
-            "errors": self._errors,
-            "advance": self._advance_m,
-        }
-        if any(parameters.accelerations):
-            self.arrays["reference"] = np.zeros((n, 3))  # the velocity on the way to the command
         self._entered = Entries(world) if parameters.entry_policies else None
         entry = []
         if self._entered is not None:
@@ -398,25 +201,22 @@ class Velocity(Task[VelocitySettings]):
         self.measurements = (StoredNumbers([*entry, *self._follow(parameters.min_height_m or 0.0), *self._redraw()]),)
         self.flags = (self._fallen,)
 
-    def _stored(self, name: str) -> Number:
-        return source(self.arrays[name], f"task.{name}")
-
     @property
     def _wanted(self) -> Number:
         """The velocity that a robot is to have now."""
-        return self._stored("reference" if "reference" in self.arrays else "command")
+        return self.stored("reference" if "reference" in self.arrays else "command")
 
     def _follow(self, min_height_m: float) -> list[Store]:
         """Return what measures a step against the command; ``resolve`` has filled in the minimum height."""
-        world, wanted, heading = self.world, self._wanted, self._stored("heading")
-        position, before = world.true_position[:2], self._stored("position")
-        yaw, yaw_before = world.true_yaw, self._stored("yaw")
-        perceived, perceived_before = world.perceived("torso_pos")[:2], self._stored("perceived_position")
-        velocity, offset = source(self.velocity), self._stored("offset")
-        errors, advance = self._stored("errors"), self._stored("advance")
+        world, wanted, heading = self.world, self._wanted, self.stored("heading")
+        position, before = world.true_position[:2], self.stored("position")
+        yaw, yaw_before = world.true_yaw, self.stored("yaw")
+        perceived, perceived_before = world.perceived("torso_pos")[:2], self.stored("perceived_position")
+        velocity, offset = source(self.velocity), self.stored("offset")
+        errors, advance = self.stored("errors"), self.stored("advance")
         moved = along(heading, position - before)
         forward = moved[0]
-        missed = velocity[:2] - self._stored("command")[:2]
+        missed = velocity[:2] - self.stored("command")[:2]
         # path and heading are observed, so they follow what the robot perceives
         aside = along(heading, perceived - perceived_before)[1]
         zero = constant(0.0)
@@ -440,14 +240,14 @@ class Velocity(Task[VelocitySettings]):
         A policy cannot foresee a change then. Heading and path begin again with every command.
         """
         settings, world = self.parameters, self.world
-        streams, draws = source(world.streams), self._stored("draws")
+        streams, draws = source(world.streams), self.stored("draws")
         chance = uniform(self.seed + 1, streams, world.step + 100_003 * draws, 1)
         fresh = source(np.zeros(self.n, dtype=np.bool_))
         renewed = given("new_command", fresh)
         scale = self._growth.scale if self._growth else None
         target = given("command", commanded(settings, uniform(self.seed, streams, draws, 5), scale))
         yaw, zero = seen_yaw(world), constant(0.0)
-        command, heading, offset = (self._stored(name) for name in ("command", "heading", "offset"))
+        command, heading, offset = (self.stored(name) for name in ("command", "heading", "offset"))
         return [
             Store(fresh, update=chance < 1.0 / settings.command_steps),
             *(
@@ -467,7 +267,7 @@ class Velocity(Task[VelocitySettings]):
         """Return what brings the velocity that a robot is to have now nearer to the command, if that takes time."""
         if "reference" not in self.arrays:
             return []
-        reference, command = self._stored("reference"), self._stored("command")
+        reference, command = self.stored("reference"), self.stored("command")
         return [Store(reference, begin=command * 0.0, update=approached(self.parameters, reference, command))]
 
     @property
@@ -485,7 +285,7 @@ class Velocity(Task[VelocitySettings]):
         if "reference" in self.arrays and "velocity" in usual:
             # a robot that takes over from another skill is in motion
             moving = source(usual["velocity"].arrays["velocity"], "velocity")
-            begun.append(Store(self._stored("reference"), begin=stack(moving[0], moving[1], 0.0)))
+            begun.append(Store(self.stored("reference"), begin=stack(moving[0], moving[1], 0.0)))
         names = ("command_forward", "command_sideways", "command_turn")
         command = ObservationBlock(names, self._wanted, signs=(1.0, -1.0, -1.0), stores=begun)
         # named as in the sprint tasks, so that training can start from a policy that runs straight
@@ -500,7 +300,7 @@ class Velocity(Task[VelocitySettings]):
         return [*super().critic_blocks(), *own]
 
     def _path(self) -> ObservationBlock:
-        offset = clip(self._stored("offset"), -OFFSET_LIMIT_M, OFFSET_LIMIT_M)
+        offset = clip(self.stored("offset"), -OFFSET_LIMIT_M, OFFSET_LIMIT_M)
         return ObservationBlock(("line_offset",), offset, signs=(-1.0,))
 
     def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
@@ -537,7 +337,7 @@ class Velocity(Task[VelocitySettings]):
 
         wanted, velocity = self._wanted, source(self.velocity)
         squared = total(square(velocity[:2] - wanted[:2]))
-        off = absolute(self._stored("offset"))
+        off = absolute(self.stored("offset"))
         # the Gaussian alone has no gradient for a robot that stands and should run at 2 m/s
         tracking = 0.5 * exp(squared * -1.0 / TRACKING_SCALE) + 0.5 / (1.0 + sqrt(squared))
         if settings.speed_weight:
@@ -583,40 +383,4 @@ class Velocity(Task[VelocitySettings]):
 
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
         """Return how well the command was followed."""
-        settled = round(SETTLED_S / STEP_S)
-        traces = list(map(_applied, episodes.trace))
-
-        def root_mean_square(values: FloatArray) -> float:
-            return float(np.sqrt(np.square(values).sum(axis=1).mean())) if len(values) else float("nan")
-
-        def known(values: list[float]) -> FloatArray:
-            array: FloatArray = np.array(values, dtype=np.float64)
-            return np.asarray(array[np.isfinite(array)])
-
-        stops = chain.from_iterable(map(_stops, traces, episodes.ends["fallen"].tolist()))
-        errors = [trace[1:, :2] - trace[1:, 3:5] for trace in traces]
-        late = [trace[settled:] for trace in traces]
-        flight = np.array([trace[1:, 7].any() for trace in traces])
-        rmse = [root_mean_square(each[:, :2] - each[:, 3:5]) for each in late]
-        rmse_whole = [root_mean_square(each) for each in errors]
-        speed = [each[:, 0].mean() if len(each) else np.nan for each in late]
-        drift = np.array([abs(trace[-1, 6]) for trace in traces])
-        results = (
-            statistics.mean(RMSE, known(rmse)),
-            statistics.mean(RMSE_WHOLE, known(rmse_whole)),
-            statistics.mean(TURN_RMSE, known([root_mean_square(each[:, 2:3] - each[:, 5:6]) for each in late])),
-            statistics.mean(SPEED, np.array([trace[1:, 0].mean() for trace in traces])),
-            statistics.mean(SETTLED_SPEED, known(speed)),
-            statistics.mean(DRIFT, drift),
-            statistics.median(MEDIAN_SPEED, np.nan_to_num(speed)),
-            statistics.median(MEDIAN_RMSE, known(rmse)),
-            statistics.median(MEDIAN_RMSE_WHOLE, known(rmse_whole)),
-            statistics.median(MEDIAN_DRIFT, drift),
-            statistics.rate(UPRIGHT, ~episodes.ends["fallen"]),
-            statistics.rate(FALL_RATE, episodes.ends["fallen"]),
-            statistics.mean(FLIGHT, np.array([flags[1:].mean() for flags in episodes.airborne])),
-            statistics.rate(FLIGHT_RATE, flight),
-            statistics.mean(RMSE_SETTLED, known([root_mean_square(_settled_errors(trace)) for trace in traces])),
-            statistics.rate(STOP_RATE, np.array(list(stops), dtype=np.bool_)),
-        )
-        return results, ()
+        return followed(episodes, statistics), ()

@@ -43,7 +43,7 @@ class Runner:
         self.action = np.zeros(len(self.action_names)) if action is None else np.nan_to_num(np.array(action, float))
         self.target, self.aimed = None, {}
         if self.kicks or self.dribbles:
-            self.turn_to((0.0, np.inf if self.kicks else 1.0) if target is None else target)
+            self.turn_to(target if known(target) else (0.0, np.inf if self.kicks else 1.0))
         elif self.keeps:
             self.target, self.aimed["aim"] = np.full(2, np.nan) if target is None else np.array(target, float), 0.0
         self.observations.begin()
@@ -95,6 +95,7 @@ class Runner:
         of task velocity follows `command`: forward and sideways speed in m/s, turn rate in rad/s; a new one starts a
         new path. One that observes the ball needs the `ball` as it is seen: distance in metres, azimuth and elevation
         in degrees from the camera; None or NaN where it is not reported. A new `target` of a dribble begins a new line.
+        Commands and targets with a NaN are ignored.
         """
         position, (w, x, y, z) = np.array(position, float), quaternion
         cross = np.cross(np.eye(3), (x, y, z))
@@ -107,7 +108,7 @@ class Runner:
         if self.cycles == 0 and self.walked is not None:
             self.observations.begin({"velocity_position": self._along(self.walked)})
         self.position = position  # for a skill that continues this one
-        fresh = command is not None and bool((self.command != command).any())
+        fresh = known(command) and bool((self.command != command).any())
         self.command = np.array(command, float) if fresh else self.command
         c, s = np.cos(self.heading / 2), -np.sin(self.heading / 2)
         inputs = {
@@ -124,7 +125,7 @@ class Runner:
         }
         if self.aimed:
             if self.dribbles:
-                self.turn_to(self.target if target is None else target)
+                self.turn_to(target if known(target) else self.target)
             elif self.keeps:
                 self.target = latest(self.target, position[:2] - (GOAL_BEHIND_M, 0.0))
                 inputs["goal"] = self._along(self.target)
@@ -145,6 +146,11 @@ class Runner:
         """
         self.action = computed(self, observation, self.action)
         return np.clip(self.middle_rad + self.reach_rad @ self.action, self.low_rad, self.high_rad)
+
+
+def known(values):
+    """Return whether values are given, and numbers."""
+    return values is not None and not np.isnan(values).any()
 
 
 def wrapped(angle):
