@@ -39,6 +39,7 @@ from naosprint.tasks.sprint import FINISH_X_M, MIN_SAMPLES, START_LINES_M, START
 if TYPE_CHECKING:
     from naosim.launchers import ServerHandle
     from naosim.robots import Robot
+    from naosim.robots.description import Shape
     from naosim.simulator import Flags, Floats, Ints, Starts
     from naosprint.arrays import FloatArray
 
@@ -88,6 +89,11 @@ class Player(Simulator):
         self.truth = Truth(np.full((1, 3), np.nan), np.full((1, 3, 3), np.nan))
         self.game_time = views["game_time"]
         self._server: ServerHandle | None = None
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """None: a player does not know where its body is."""
+        return ()
 
     def load_starts(self, starts: Starts) -> None:
         """Keep the poses; a player beams itself to its own half."""
