@@ -159,6 +159,19 @@ def test_objectives_have_their_titles_and_units(browser: Browser, token: str) ->
     assert "50" in found[4]
 
 
+def test_a_study_names_what_it_optimizes_by_its_title(browser: Browser, token: str, client: httpx.Client) -> None:
+    gamma = {"type": "float", "low": 0.9, "high": 0.99}
+    job = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+    search = {"space": {"gamma": gamma}, "objectives": [{"metric": "fall_rate"}], "trials": 1}
+    study = client.post("/studies", json={"name": "titled", "job": job, "search": search}).raise_for_status().json()
+    client.post(f"/studies/{study['id']}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.open("/studies")
+    browser.shows("Minimize Falls", "tbody")
+    browser.open(f"/studies/{study['id']}")
+    browser.shows("Minimize Falls", ".page-head")
+
+
 def test_times_are_local_and_of_one_style(browser: Browser, token: str, client: httpx.Client, match: str) -> None:
     browser.driver.execute_cdp_cmd("Emulation.setTimezoneOverride", {"timezoneId": "Asia/Tokyo"})
     try:
@@ -384,13 +397,14 @@ def test_a_comparison_draws_rewards_of_each_task_and_every_metric(
         return job
 
     jobs = [park("saver", "block", "t1"), park("walker", "velocity", "t1"), park("small", "velocity", "k1")]
-    train(stack, jobs[0], reward=100.0, fall_rate=0.5, conceded_rate=0.25)
-    train(stack, jobs[1], reward=1.0, fall_rate=0.1, velocity_error_mps=0.2)
+    train(stack, jobs[0], reward=100.0, fall_rate=0.5, conceded_rate=0.25, value_loss=50.0)
+    train(stack, jobs[1], reward=1.0, fall_rate=0.1, velocity_error_mps=0.2, value_loss=1e-3)
     browser.sign_in(token)
     browser.open(f"/compare?jobs={','.join(jobs)}")
     browser.shows("Live", ".top")
     titles = browser.until(lambda: [e.text for e in browser.all(".chart h3")])
     assert [title for title in titles if title.startswith("Reward")] == ["Reward · block", "Reward · velocity"]
+    assert [title for title in titles if title.startswith("Value")] == ["Value loss · block", "Value loss · velocity"]
     assert [title for title in titles if title.startswith("Fall")] == ["Falls"], "what tasks share is one chart"
     assert any(title.startswith("Goals against") for title in titles), "a metric of a chart of two is missing"
     latest = browser.all("[data-chart='conceded_rate'] .plot, [data-chart='fall_rate'] .plot")

@@ -307,6 +307,27 @@ def test_rewards_on_both_engines_are_one_chart(page: Browser) -> None:
     assert sorted(set(titles[1]) - set(titles[0])) == ["Own", "Reward by engine", "Substeps left to MuJoCo"]
 
 
+def test_marks_of_values_near_zero_differ(page: Browser) -> None:
+    marks, lines, share = page.module(
+        """
+        const { ticks } = await import("/ui/js/figures.js");
+        const { metricAxis } = await import("/ui/js/plots.js");
+        const { chartOptions } = await import("/ui/js/curves.js");
+        const { distinct } = await import("/ui/js/format.js");
+        const metric = { name: "loss", title: "Loss", unit: "", digits: 4 };
+        const share = { key: "rate", title: "Rate", metrics: [{ ...metric, unit: "%" }], refs: [] };
+        return [
+          metricAxis(metric, [0, 4e-9]).marks.map(([, text]) => text.replace("\u2212", "-")),
+          ticks(0, 5e-12, 5).length,
+          distinct([0, 1e-8, 2e-8], chartOptions(share).axisFormat).map((text) => text.replace("\u2212", "-")),
+        ];
+        """
+    )
+    assert marks == ["0", "1e-9", "2e-9", "3e-9", "4e-9"]
+    assert lines == 6
+    assert share == ["0 %", "1e-6 %", "2e-6 %"]
+
+
 def test_dragging_zooms_all_linked_charts_and_a_double_click_shows_all(page: Browser) -> None:
     whole, zoomed, appended, again = page.module(
         """

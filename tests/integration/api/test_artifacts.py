@@ -167,6 +167,35 @@ def test_no_name_leads_anywhere_else(
                 assert "refused a file name that is not in the list" in caplog.text
 
 
+def test_an_archive_whose_files_are_gone_is_a_problem(
+    client: httpx.Client, lease: Lease, checkpoint: str, store: ArtifactStore
+) -> None:
+    store.delete_prefix(f"jobs/{lease.job_id}")
+    answer = client.get(f"/checkpoints/{checkpoint}/archive")
+    assert (answer.status_code, answer.headers["content-type"]) == (404, "application/problem+json")
+    assert "no longer in the store" in answer.json()["detail"]
+
+
+def test_a_deletion_during_a_download_cuts_it_and_is_one_line_of_the_log(
+    client: httpx.Client,
+    lease: Lease,
+    save_checkpoint: Callable[..., str],
+    store: ArtifactStore,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    checkpoint = save_checkpoint(lease, 200, {"a": os.urandom(64 << 20), "b": b"b"})
+    with (
+        pytest.raises(httpx.RemoteProtocolError),
+        client.stream("GET", f"/checkpoints/{checkpoint}/archive") as answer,
+    ):
+        for number, _ in enumerate(answer.iter_raw()):
+            if number == 0:
+                store.delete_prefix(f"jobs/{lease.job_id}")
+    (line,) = [record for record in caplog.records if "/archive" in record.getMessage() and record.levelname == "ERROR"]
+    assert "no such file" in line.getMessage()
+    assert not [record for record in caplog.records if record.exc_info]
+
+
 def test_files_of_others_do_not_exist(
     make_client: Callable[..., httpx.Client], lease: Lease, checkpoint: str, sessions: sessionmaker[Session]
 ) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import Engine, text
+from sqlalchemy import Engine, create_engine, text
 
 
 @pytest.fixture
@@ -46,12 +46,48 @@ def test_a_database_that_became_read_only_is_one_that_is_away(
     ):
         answer = client.request(method, path, json=body)
         assert (answer.status_code, "retry-after" in answer.headers) == (503, True), (path, answer.text)
+        assert "it can be read" in answer.json()["detail"]
     assert client.get(f"/jobs/{job}").status_code == 200, "it can be read"
     ready = client.get("/readyz")
     assert (ready.status_code, ready.json()["database"]) == (503, "failed")
     set_read_only(False)
     assert client.post(f"/jobs/{job}/cancel").status_code in (200, 503)
     assert client.post(f"/jobs/{job}/cancel").status_code == 200, "a new connection reaches the new server"
+
+
+def test_a_full_disk_of_the_database_is_named(client: httpx.Client, engine: Engine) -> None:
+    with engine.begin() as connection:
+        body = "$$ BEGIN RAISE EXCEPTION USING ERRCODE = 'disk_full'; END $$"
+        connection.execute(text(f"CREATE FUNCTION fill() RETURNS trigger LANGUAGE plpgsql AS {body}"))
+        connection.execute(text("CREATE TRIGGER full_disk BEFORE INSERT ON jobs EXECUTE FUNCTION fill()"))
+    try:
+        answer = client.post("/jobs", json={})
+        assert (answer.status_code, "retry-after" in answer.headers) == (503, True)
+        assert "disk is full" in answer.json()["detail"]
+        assert client.get("/jobs").status_code == 200
+    finally:
+        with engine.begin() as connection:
+            connection.execute(text("DROP FUNCTION fill CASCADE"))
+
+
+def test_an_outage_of_the_database_cuts_a_stream_and_is_one_line_of_the_log(
+    client: httpx.Client, engine: Engine, caplog: pytest.LogCaptureFixture
+) -> None:
+    name = engine.url.database
+    elsewhere = create_engine(engine.url.set(database="postgres"), isolation_level="AUTOCOMMIT")
+    with elsewhere.connect() as server:
+        try:
+            with pytest.raises(httpx.RemoteProtocolError), client.stream("GET", "/jobs/stream") as answer:
+                for number, _ in enumerate(answer.iter_lines()):
+                    if number == 0:
+                        server.execute(text(f'ALTER DATABASE "{name}" ALLOW_CONNECTIONS false'))
+                        cut = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = :name"
+                        server.execute(text(cut), {"name": name})
+        finally:
+            server.execute(text(f'ALTER DATABASE "{name}" ALLOW_CONNECTIONS true'))
+    elsewhere.dispose()
+    assert len([record for record in caplog.records if "/jobs/stream failed" in record.getMessage()]) == 1
+    assert not [record for record in caplog.records if record.exc_info]
 
 
 @pytest.mark.parametrize(("method", "body"), [("GET", None), ("POST", {"url": "https://example.org/"})])

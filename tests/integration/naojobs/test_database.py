@@ -8,6 +8,7 @@ import os
 import resource
 import socket
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -18,8 +19,9 @@ from urllib.parse import parse_qs, unquote, urlsplit
 import psycopg
 import pytest
 from naojobs import connections
-from naojobs.database import CHANNEL, make_engine, make_sessions, notify
+from naojobs.database import CHANNEL, is_outage, make_engine, make_sessions, notify
 from naojobs.settings import ServiceSettings
+from naojobs.tokens import Scope, create_token, list_tokens
 from naosprint_api.broadcast import Broadcaster
 from sqlalchemy import text
 from sqlalchemy.exc import DataError, OperationalError
@@ -106,6 +108,26 @@ def test_errors_do_not_repeat_parameters(sessions: Sessions) -> None:
     with pytest.raises(DataError) as caught, sessions.begin() as session:
         session.execute(text("SELECT 1 / 0, cast(:secret AS text)"), {"secret": "whsec_aGlk"})
     assert "division by zero" in str(caught.value) and "whsec" not in str(caught.value)
+
+
+def test_errors_of_a_read_only_database_do_not_repeat_parameters_either(sessions: Sessions) -> None:
+    with pytest.raises(OperationalError) as caught, sessions.begin() as session:
+        session.execute(text("SET TRANSACTION READ ONLY"))
+        session.execute(text("UPDATE services SET key = :secret"), {"secret": "whsec_aGlk"})
+    assert is_outage(caught.value) and "read-only" in str(caught.value) and "whsec" not in str(caught.value)
+
+
+def test_lists_stay_in_order_when_the_clock_of_a_host_is_wrong(database_url: str, sessions: Sessions) -> None:
+    program = (
+        "import sys, time; now = time.time_ns; time.time_ns = lambda: now() + 10**17\n"
+        "from naojobs.database import make_engine, make_sessions\n"
+        "from naojobs.tokens import Scope, create_token\n"
+        "create_token(make_sessions(make_engine(sys.argv[1])), name='ahead', owner='order', scopes=[Scope.READ])\n"
+    )
+    url = database_url.replace("postgresql://", "postgresql+psycopg://", 1)
+    subprocess.run([sys.executable, "-c", program, url], check=True)
+    create_token(sessions, name="right", owner="order", scopes=[Scope.READ])
+    assert [token.name for token in list_tokens(sessions, "order")] == ["ahead", "right"]
 
 
 class Relay:

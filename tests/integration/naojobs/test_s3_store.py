@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import httpx
 import pytest
 from naojobs.settings import ServiceSettings
 from naojobs.store import ArtifactStore, CorruptArtifactError, MissingArtifactError, StoreError
+from obstore.store import S3Store
 
 from tests.integration.conftest import S3Server
 
@@ -50,13 +52,16 @@ def test_a_folder_comes_back_as_it_was(store: ArtifactStore, tmp_path: Path) -> 
     assert store.list("jobs/j") == []
 
 
-def test_large_file_goes_in_one_request(tmp_path: Path) -> None:
+def test_large_file_goes_in_one_request_that_may_take_longer_than_a_silent_store(tmp_path: Path) -> None:
     """An interrupted multipart upload leaves parts that no listing shows and nobody deletes."""
+    deadline_s = 1.0
     requests: list[tuple[str, str, int]] = []
 
     class Recorder(BaseHTTPRequestHandler):
         def do_PUT(self) -> None:
             left = size = int(self.headers["Content-Length"])
+            if size > 1 << 20:
+                time.sleep(1.5 * deadline_s)  # a slow connection
             while left:
                 left -= len(self.rfile.read(min(left, 1 << 20)))
             requests.append((self.command, self.path, size))
@@ -83,10 +88,17 @@ def test_large_file_goes_in_one_request(tmp_path: Path) -> None:
             "s3_access_key_id": "key",
             "s3_secret_access_key": "secret",
         }
-        ArtifactStore.from_settings(ServiceSettings.model_validate(settings)).put_directory("jobs/j/x", tmp_path)
+        store = ArtifactStore.from_settings(ServiceSettings.model_validate(settings), deadline_s=deadline_s)
+        store.put_directory("jobs/j/x", tmp_path)
         server.shutdown()
     assert requests[0] == ("PUT", "/bucket/jobs/j/x/large.npz", 80 << 20)
     assert [path for _, path, _ in requests[1:]] == ["/bucket/jobs/j/x/manifest.json"]
+
+
+def test_a_download_has_no_deadline_as_long_as_the_store_answers(store: ArtifactStore) -> None:
+    client = store._store
+    assert isinstance(client, S3Store) and client.client_options is not None
+    assert client.client_options["timeout"] == "1day", "a slow client was cut after ten minutes"
 
 
 def test_a_signed_address_opens_one_file_and_only_that(store: ArtifactStore) -> None:

@@ -19,6 +19,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.orm import Session, SessionTransaction, sessionmaker
 from sqlalchemy.pool import ConnectionPoolEntry, NullPool
 
+from naojobs import ids
 from naojobs.connections import bounds
 
 # Alembic is imported where it is used: every trainer imports this module and none migrates.
@@ -111,8 +112,12 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
         pools[0] += 1
 
     @event.listens_for(engine, "connect")
-    def note_pool(_connection: psycopg.Connection[Any], record: ConnectionPoolEntry) -> None:
+    def begin(connection: psycopg.Connection[Any], record: ConnectionPoolEntry) -> None:
         record.info["pool"] = pools[0]
+        connection.autocommit = True
+        for (now_s,) in connection.execute("SELECT extract(epoch FROM clock_timestamp())"):
+            ids.set_clock(float(now_s))  # lists are in the order of ids, and this host's clock may be wrong
+        connection.autocommit = False
 
     @event.listens_for(engine, "checkin")
     def close_late(connection: psycopg.Connection[Any] | None, record: ConnectionPoolEntry) -> None:
@@ -194,7 +199,9 @@ def _unavailable(context: ExceptionContext, *kinds: type[psycopg.Error]) -> Exce
     if not isinstance(error, kinds):
         return None
     context.is_disconnect = True
-    return OperationalError(context.statement, context.parameters, error, connection_invalidated=True)
+    return OperationalError(
+        context.statement, context.parameters, error, hide_parameters=True, connection_invalidated=True
+    )
 
 
 def make_sessions(engine: Engine, *, read_only: bool = False) -> Sessions:

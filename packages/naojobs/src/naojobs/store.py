@@ -7,7 +7,7 @@ import json
 import re
 import secrets
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -36,6 +36,8 @@ PROBES = "probes"
 """Prefix of the files with which a store is tested."""
 DEFAULT_DEADLINE_S = 60.0
 """Seconds for which a store may not answer, and for which a refused request is repeated."""
+SLOWEST_UPLOAD_BYTES_S = 256 << 10
+"""Bytes per second of the slowest connection over which files of any size can be uploaded."""
 _CHUNK_BYTES = 1 << 20
 _UNFINISHED = re.compile(r".*#[0-9]+")
 """Names under which a local store writes files before they get their own."""
@@ -173,14 +175,17 @@ def _cut(pieces: Iterable[Buffer], skip: int, left: int | None) -> Iterator[memo
 class ArtifactStore:
     """Store of artifacts under immutable keys; thread-safe."""
 
-    def __init__(self, store: LocalStore | S3Store) -> None:
-        self._store = store
+    def __init__(
+        self, store: LocalStore | S3Store, *, connect: Callable[[float], S3Store] | None = None, deadline_s: float = 0.0
+    ) -> None:
+        self._store, self._connect, self._deadline_s = store, connect, deadline_s
 
     @classmethod
     def from_settings(cls, settings: ServiceSettings, *, deadline_s: float = DEFAULT_DEADLINE_S) -> Self:
         """Open the store that the settings name; makes the folder of a local one.
 
-        A store that is silent for ``deadline_s`` seconds fails, as does one that refuses for longer.
+        A store that is silent for ``deadline_s`` seconds fails, as does one that refuses for longer. A file that takes
+        longer to upload has the time that it takes at ``SLOWEST_UPLOAD_BYTES_S``.
         """
         parts = urlsplit(settings.artifact_url)
         if parts.scheme == "file":
@@ -192,30 +197,38 @@ class ArtifactStore:
         if settings.s3_access_key_id is not None and settings.s3_secret_access_key is not None:
             options["access_key_id"] = settings.s3_access_key_id.get_secret_value()
             options["secret_access_key"] = settings.s3_secret_access_key.get_secret_value()
-        store = S3Store(
-            parts.netloc,
-            prefix=parts.path.strip("/") or None,
-            client_options={
-                "allow_http": (settings.s3_endpoint or "").startswith("http://"),
-                "timeout": timedelta(minutes=10),
-                "connect_timeout": timedelta(seconds=min(5.0, deadline_s)),
-                "read_timeout": timedelta(seconds=deadline_s),
-            },
-            retry_config={"max_retries": 5, "retry_timeout": timedelta(seconds=min(30.0, deadline_s))},
-            **options,
-        )
-        return cls(store)
+
+        def connect(silent_s: float) -> S3Store:
+            return S3Store(
+                parts.netloc,
+                prefix=parts.path.strip("/") or None,
+                client_options={
+                    "allow_http": (settings.s3_endpoint or "").startswith("http://"),
+                    "timeout": timedelta(days=1),  # of a whole download, which a client may take slowly
+                    "connect_timeout": timedelta(seconds=min(5.0, deadline_s)),
+                    "read_timeout": timedelta(seconds=silent_s),
+                },
+                retry_config={"max_retries": 5, "retry_timeout": timedelta(seconds=min(30.0, deadline_s))},
+                **options,
+            )
+
+        return cls(connect(deadline_s), connect=connect, deadline_s=deadline_s)
 
     @property
     def local_root(self) -> Path | None:
         """Return the folder of a local store, none for S3."""
         return self._store.prefix if isinstance(self._store, LocalStore) else None
 
+    def _uploader(self, size: int) -> LocalStore | S3Store:
+        """Return a client that awaits the answer to `size` bytes; the time until they are sent counts as silence."""
+        needed_s = size / SLOWEST_UPLOAD_BYTES_S
+        return self._store if self._connect is None or needed_s <= self._deadline_s else self._connect(needed_s)
+
     def put_bytes(self, key: str, data: bytes) -> ManifestEntry:
         """Write `data` under `key`, atomically. Raises StoreError."""
         check_key(key)
         with _store_errors(f"put {key}"):
-            obstore.put(self._store, key, data)
+            obstore.put(self._uploader(len(data)), key, data)
             self._settle(key)
         return ManifestEntry(name=key.rsplit("/", 1)[-1], size=len(data), sha256=hashlib.sha256(data).hexdigest())
 
@@ -240,7 +253,7 @@ class ArtifactStore:
                 size = file.tell()
             with _store_errors(f"put {target}"):
                 # A single request is atomic; an upload in parts may leave some that no listing shows, and that cost.
-                obstore.put(self._store, target, path, use_multipart=False)
+                obstore.put(self._uploader(size), target, path, use_multipart=False)
                 self._settle(target)
             entries.append(ManifestEntry(name=name, size=size, sha256=digest))
         manifest = StoreManifest(files=tuple(entries))

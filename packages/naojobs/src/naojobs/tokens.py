@@ -90,7 +90,6 @@ def create_token(
     if not owner or len(owner) > 200:
         raise ValueError("owner: give 1 to 200 characters")
     secret = _PREFIX + secrets.token_urlsafe(32)
-    token_id = new_id("token")
     expires_at = func.now() + valid_for if valid_for is not None else None
     with sessions.begin() as session:
         if parent_id is not None:
@@ -101,6 +100,8 @@ def create_token(
             job = select(Job.id).where(Job.id == job_id).with_for_update(read=True, key_share=True)
             if session.scalar(job) is None:
                 raise NotFoundError(f"no job {job_id}")
+        session.connection()  # ids have the time of its clock
+        token_id = new_id("token")
         session.add(
             Token(
                 id=token_id,

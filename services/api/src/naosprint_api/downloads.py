@@ -55,7 +55,7 @@ def parse_range(header: str, size: int) -> tuple[int, int] | None:
 class StoredResponse(StreamingResponse):
     """Response whose content comes from the store, read in its own threads.
 
-    The store is opened before the response starts, so that a failure becomes a problem document.
+    The first piece is read before the response starts, so that a failure becomes a problem document.
     """
 
     def __init__(
@@ -73,12 +73,14 @@ class StoredResponse(StreamingResponse):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Open the content and send it."""
-        self.body_iterator = self._pieces(await self._in_thread(self._open_content))
+        content = await self._in_thread(self._open_content)
+        self.body_iterator = self._pieces(content, await self._in_thread(partial(next, content, None)))
         await super().__call__(scope, receive, send)
 
-    async def _pieces(self, content: Iterator[bytes]) -> AsyncIterator[bytes]:
-        while (piece := await self._in_thread(partial(next, content, None))) is not None:
+    async def _pieces(self, content: Iterator[bytes], piece: bytes | None) -> AsyncIterator[bytes]:
+        while piece is not None:
             yield piece
+            piece = await self._in_thread(partial(next, content, None))
 
     async def _in_thread(self, call: Callable[[], T]) -> T:
         return await to_thread.run_sync(call, limiter=self._threads, abandon_on_cancel=True)
@@ -155,7 +157,8 @@ def _archive_size(manifest: StoreManifest, folder: str) -> int:
 
 def _archive(store: ArtifactStore, key: str, manifest: StoreManifest, folder: str, at: datetime) -> Iterator[bytes]:
     for entry in manifest.files:
+        content = store.stream(f"{key}/{entry.name}")
         yield _header(entry, folder, at)
-        yield from store.stream(f"{key}/{entry.name}")
+        yield from content
         yield bytes(-entry.size % _BLOCK)
     yield bytes(2 * _BLOCK)

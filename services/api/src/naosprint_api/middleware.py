@@ -7,7 +7,9 @@ import re
 import time
 from collections.abc import Mapping
 
+from naojobs.database import is_outage
 from naojobs.ids import new_id
+from naojobs.store import StoreError
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -53,12 +55,11 @@ class Envelope:
         scope.setdefault("state", {})["request_id"] = request_id
         started = time.monotonic()
         status = 500
-        sent = complete = False
+        sent = False
 
         async def send_with_headers(message: Message) -> None:
-            nonlocal status, sent, complete
+            nonlocal status, sent
             sent = True
-            complete = message["type"] == "http.response.body" and not message.get("more_body", False)
             if message["type"] == "http.response.start":
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
@@ -74,10 +75,14 @@ class Envelope:
         try:
             await self._app(scope, receive, send_with_headers)
         except Exception as error:
-            # An answer that is complete leaves the connection to the client's next request.
-            if sent and not complete:
-                raise
-            _log.error("%s %s failed", scope["method"], scope["path"], exc_info=error, extra={"request_id": request_id})
+            # The framework wraps what happens within an answer. The server cuts one that is not complete.
+            cause = error.__cause__ if sent and isinstance(error.__cause__, Exception) else error
+            expected = isinstance(cause, StoreError) or is_outage(cause)
+            what = f"failed: {cause}" if expected else "failed"
+            trace = None if expected else error
+            _log.error(
+                "%s %s %s", scope["method"], scope["path"], what, exc_info=trace, extra={"request_id": request_id}
+            )
             if not sent:
                 answer = problem_response(500, "internal error; see the service's log")
                 await answer(scope, receive, send_with_headers)

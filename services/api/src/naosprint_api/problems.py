@@ -13,7 +13,7 @@ from fastapi.responses import JSONResponse
 from fastapi.routing import APIRoute
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, QuotaError
 from naojobs.store import MissingArtifactError, StoreError
-from psycopg.errors import LockNotAvailable
+from psycopg.errors import DiskFull, LockNotAvailable, ReadOnlySqlTransaction
 from pydantic import BaseModel, Field
 from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
@@ -25,6 +25,12 @@ MEDIA_TYPE = "application/problem+json"
 
 MAX_ERRORS, MAX_NAME, MAX_MESSAGE = 20, 100, 1000
 """Most errors that a response names, and the longest part of a field's path and message in it, characters."""
+
+_REFUSALS: Mapping[type | None, str] = {
+    DiskFull: "the database's disk is full, so nothing can be stored; try again when there is room",
+    ReadOnlySqlTransaction: "the database takes no changes at present; it can be read. Try again later",
+}
+"""What is answered when the database works, but cannot store a change, by the driver's error."""
 
 _log = logging.getLogger(__name__)
 
@@ -185,7 +191,9 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
         if isinstance(error, DBAPIError) and not (error.connection_invalidated or isinstance(error, OperationalError)):
             raise error
         _log.error("the database failed: %s", error)
-        return problem_response(503, "the database does not answer; try again later", headers={"Retry-After": "2"})
+        kind = type(error.orig) if isinstance(error, DBAPIError) else None
+        message = _REFUSALS.get(kind, "the database does not answer; try again later")
+        return problem_response(503, message, headers={"Retry-After": "2"})
 
     async def unexpected(_request: Request, _error: Exception) -> JSONResponse:
         # The envelope logs the traceback; the response has no internal details.

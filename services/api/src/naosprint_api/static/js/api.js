@@ -45,10 +45,10 @@ export function useToken(value) {
   }
 }
 
-/** Forget the token in this tab, or in all tabs of this browser. */
-export function clearToken({ everywhere = false } = {}) {
+/** Forget the token in this tab, or in all tabs of this browser; with `only`, where it is that one. */
+export function clearToken({ everywhere = false, only = null } = {}) {
   memory = null;
-  for (const store of stores()) store.removeItem(KEY);
+  for (const store of stores()) if (!only || store.getItem(KEY) === only) store.removeItem(KEY);
   if (everywhere) channel?.postMessage({ type: "sign-out" });
 }
 
@@ -112,7 +112,7 @@ export class ApiError extends Error {
 export class OfflineError extends Error {}
 
 let unauthorised = () => {};
-/** Set what happens on a 401 from any call but the sign-in's own. */
+/** Set what happens, given the refused token and the method, on a 401 from any call but the sign-in's own. */
 export function onUnauthorised(handler) {
   unauthorised = handler;
 }
@@ -149,7 +149,7 @@ export async function request(
     /* no JSON body: only the status is known */
   }
   const error = new ApiError(response.status, problem, response.headers.get("x-request-id"));
-  if (response.status === 401 && !quiet401) unauthorised(error);
+  if (response.status === 401 && !quiet401 && as === token()) unauthorised(as, method);
   throw error;
 }
 
@@ -157,6 +157,23 @@ export async function request(
 export async function call(path, options) {
   const response = await request(path, options);
   return response.status === 204 ? null : response.json();
+}
+
+/**
+ * A function that posts a request which makes something. What was pressed twice, or again after a lost answer, has the
+ * same key, so that it is made once.
+ */
+export function submission() {
+  let sent;
+  let key;
+  return async (path, body) => {
+    const wanted = JSON.stringify([path, body]);
+    if (wanted !== sent) key = crypto.randomUUID?.() ?? String(Math.random());
+    sent = wanted;
+    const made = await call(path, { method: "POST", body, headers: { "Idempotency-Key": key } });
+    sent = null;
+    return made;
+  };
 }
 
 /** Fetch the first `most` items of a list that has pages, and whether there are `more`. */

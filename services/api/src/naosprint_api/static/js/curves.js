@@ -4,7 +4,7 @@
  */
 
 import { PALETTE } from "./charts.js";
-import { compact, duration, fixed, metricText, shownUnit } from "./format.js";
+import { compact, duration, metricText, shownUnit } from "./format.js";
 
 /** Groups of charts on a job's page, with their headings. */
 export const GROUPS = [
@@ -57,7 +57,7 @@ export function chartOptions(chart, index = 0) {
     unit: share ? undefined : shownUnit(first),
     refs: chart.refs,
     token,
-    ...(share ? { min: 0, max: 1, axisFormat: (v, more) => `${fixed(v * 100, more)} %` } : {}),
+    ...(share ? { min: 0, max: 1, axisFormat: (v, more) => `${metricText({ ...first, digits: 0 }, v, more)} %` } : {}),
     ...(chart.metrics.length > 1
       ? { lines: chart.metrics.map((m, i) => [m.name, m.title.toLowerCase(), PALETTE[(index + i) % PALETTE.length]]) }
       : {}),

@@ -1,8 +1,10 @@
 /** Read an evaluation: its results and its recorded paths. */
 
-import { call, request } from "./api.js";
+import { request, submission } from "./api.js";
 import { toast } from "./dom.js";
 import { readNpz } from "./npz.js";
+
+const send = submission();
 
 /** Request of a few episodes of which one is recorded, and of its film. */
 export const FILM = { spec: { episodes: 5, trajectories: 5, bootstrap_resamples: 100 }, report: "film" };
@@ -14,7 +16,7 @@ export const FILM = { spec: { episodes: 5, trajectories: 5, bootstrap_resamples:
 export async function requestEvaluation(store, button, body, done) {
   button.disabled = true;
   try {
-    const made = await call(`${store.path}/evaluations`, { method: "POST", body });
+    const made = await send(`${store.path}/evaluations`, body);
     toast(done);
     await store.loadEvaluations();
     return made;

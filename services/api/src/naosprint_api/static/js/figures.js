@@ -43,7 +43,8 @@ export function ticks(low, high, count) {
   const size = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 2.5, 5, 10].map((k) => k * size).find((k) => k >= raw) ?? raw;
   const out = [];
-  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9; v += step) out.push(Number(v.toFixed(10)));
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i++)
+    out.push(Number((i * step).toPrecision(12)));
   return out;
 }
 

@@ -23,9 +23,12 @@ export function compact(v, more = 0) {
   return trim(Number(v.toPrecision(4 + more)).toString());
 }
 
+/** Digits beyond those of a metric from which its numbers are scientific. */
+export const SCIENTIFIC = 4;
+
 /** Texts of the marks of an axis; `format` gets as many digits more as tell them apart, where some do. */
 export function distinct(values, format) {
-  const texts = [0, 1, 2, 3].map((more) => values.map((v) => format(v, more)));
+  const texts = [0, 1, 2, 3, SCIENTIFIC].map((more) => values.map((v) => format(v, more)));
   return texts.find((found) => new Set(found).size === found.length) ?? texts[0];
 }
 const trim = (t) => (t.includes(".") && !t.includes("e") ? t.replace(/0+$/, "").replace(/\.$/, "") : t);
@@ -48,18 +51,20 @@ export function significant(v, digits = 3) {
   if (a !== 0 && (a < 1e-3 || a >= 1e6))
     return v
       .toExponential(digits - 1)
+      .replace(/\.?0+e/, "e")
       .replace("e-", "e−")
       .replace("e+", "e");
   return trim(v.toPrecision(digits)).replace(/^-/, "−");
 }
 
-/** A value of a metric without its unit: with its digits, fractions in percent. */
-export function metricText(metric, v) {
+/** A value of a metric without its unit: with its digits and `more`, fractions in percent. */
+export function metricText(metric, v, more = 0) {
   if (missing(v)) return NONE;
   const value = metric.unit === "%" ? v * 100 : v;
-  if (metric.digits === null || metric.digits === undefined) return significant(value, 4);
+  if (missing(metric.digits) || more >= SCIENTIFIC) return significant(value, 4);
+  const digits = metric.digits + more;
   return value
-    .toLocaleString("en-US", { minimumFractionDigits: metric.digits, maximumFractionDigits: metric.digits })
+    .toLocaleString("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits })
     .replace(/^-(?=0(\.0*)?$)/, "")
     .replace("-", "−");
 }

@@ -31,10 +31,19 @@ const ANOTHER_TOKEN = {
   action: "Use the link’s token",
 };
 
+/** A path with its escapes resolved; as it is where they are none. */
+function decoded(path) {
+  try {
+    return decodeURI(path);
+  } catch {
+    return path;
+  }
+}
+
 /** Split "#/jobs/x?tab=1" into path and parameters. */
 function place() {
-  const [path, search = ""] = decodeURI(location.hash.replace(/^#/, "") || "/").split("?");
-  return { path, params: new URLSearchParams(search) };
+  const [path, search] = (location.hash.slice(1) || "/").split(/\?(.*)/s);
+  return { path: decoded(path), params: new URLSearchParams(search) };
 }
 
 /** Open a page of the dashboard. */
@@ -91,7 +100,10 @@ async function show() {
       throw new OfflineError("A part of this page could not be loaded.");
     });
     if (mine !== turn) return;
-    const view = await module.mount(main, { ...where, signal: controller.signal, go });
+    // A view that was left while it was loading paints into an element that is no longer shown.
+    const root = h("div");
+    fill(main, root);
+    const view = await module.mount(root, { ...where, signal: controller.signal, go });
     if (mine !== turn) {
       view?.destroy?.();
       return;
@@ -106,6 +118,7 @@ async function show() {
 }
 
 function leave() {
+  for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close();
   current?.controller?.abort();
   current?.destroy?.();
   current = null;
@@ -235,13 +248,19 @@ function frame(page) {
   );
 }
 
-/** Show the sign-in form; the address stays and is opened afterwards. */
-function signIn(message) {
-  turn += 1;
-  leave();
-  fill(top);
-  top.hidden = true;
-  document.title = "Sign in · naosprint";
+/** Whether a read of the page below the dialog of the sign-in was refused. */
+let stale = false;
+const signInDialog = () => document.querySelector("dialog[data-part=sign-in]");
+
+/** Show the sign-in form; the address stays and is opened afterwards. A dialog keeps the page and what it holds. */
+function signIn(message, { dialog = null } = {}) {
+  if (!dialog) {
+    turn += 1;
+    leave();
+    fill(top);
+    top.hidden = true;
+    document.title = "Sign in · naosprint";
+  }
   const input = h("input", {
     id: "token",
     name: "token",
@@ -267,6 +286,13 @@ function signIn(message) {
     try {
       await call("whoami", { as: value, quiet401: true });
       setToken(value, remember.checked);
+      if (dialog && !stale) {
+        dialog.close();
+        await identify();
+        frame(current?.page);
+        return;
+      }
+      leave();
       top.hidden = false;
       show();
     } catch (error) {
@@ -286,7 +312,7 @@ function signIn(message) {
     }
   };
   fill(
-    main,
+    dialog ?? main,
     h(
       "div",
       { class: "sign-in" },
@@ -399,10 +425,25 @@ onSignOut(() => {
   leave();
   signIn();
 });
-onUnauthorised(() => {
-  clearToken();
-  top.hidden = true;
-  signIn("The token is no longer valid. Sign in again.");
+onUnauthorised((refused, method) => {
+  clearToken({ only: refused });
+  if (signInDialog()) {
+    stale = true;
+    return;
+  }
+  const message = "The token is no longer valid. Sign in again.";
+  if (method === "GET") {
+    leave();
+    if (token()) show();
+    else signIn(message);
+    return;
+  }
+  stale = false;
+  const dialog = h("dialog", { class: "modal", "data-part": "sign-in", "aria-label": "Sign in" });
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+  signIn(message, { dialog });
 });
 addEventListener("hashchange", show);
 show();

@@ -27,8 +27,7 @@ function choices(title, values) {
 }
 
 /** A number without a description. */
-const plainText = (value, more = 0) =>
-  Math.abs(value) >= 1e4 ? compact(value) : significant(value, 3 + more).replace(/\.0+e/, "e");
+const plainText = (value, more = 0) => (Math.abs(value) >= 1e4 ? compact(value) : significant(value, 3 + more));
 
 /** Powers of ten between two numbers; the ends, if there are fewer than two. */
 function decades(low, high) {
@@ -63,8 +62,7 @@ export function axisOf(title, values, known = {}) {
 /** Axis of a metric with a description; its marks have more digits where they need them to differ. */
 export function metricAxis(metric, values) {
   if (missing(metric.digits)) return axisOf(titled(metric), values);
-  const format = (value, more = 0) => metricText({ ...metric, digits: metric.digits + more }, value);
-  return axisOf(titled(metric), values, { format });
+  return axisOf(titled(metric), values, { format: (value, more) => metricText(metric, value, more) });
 }
 
 /** What a row of a plot is drawn with; `props` are those of its shape. */

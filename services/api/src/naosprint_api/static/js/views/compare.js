@@ -44,6 +44,13 @@ const GROUPINGS = {
   group: ["Sweep", (job) => job.group_id ?? "single"],
 };
 
+/** The jobs that an address asks for. */
+const askedBy = (params) => `${params.get("group")} ${params.get("jobs")}`;
+
+/** The grouping that an address asks for; a sweep's jobs differ in what was swept. */
+const groupingOf = (params) =>
+  GROUPINGS[params.get("by")] ? params.get("by") : params.get("group") ? "settings" : "none";
+
 /** Paths that every list of jobs shows anyway. */
 const SHOWN = new Set(["seed", "task.name", "robot.name", "simulator.name", "algorithm.preset"]);
 /** Most settings of a job in its row of the table; more are in the table of settings only. */
@@ -116,9 +123,10 @@ class CompareView {
     this.root = root;
     this.signal = signal;
     this.go = go;
+    this.asked = askedBy(params);
     this.group = params.get("group");
     this.ids = [...new Set((params.get("jobs") ?? "").split(",").filter(Boolean))];
-    this.by = GROUPINGS[params.get("by")] ? params.get("by") : this.group ? "settings" : "none";
+    this.by = groupingOf(params);
     this.x = "step";
     this.weight = 0.6;
     this.items = [];
@@ -159,6 +167,11 @@ class CompareView {
       },
     });
     this.stopTheme = onTheme(() => this.paintTable());
+  }
+
+  /** The address changes with the grouping only; other jobs need another view. */
+  update({ params }) {
+    return this.items.length > 0 && askedBy(params) === this.asked && groupingOf(params) === this.by;
   }
 
   /** Read all jobs again, and metrics that are missing: changes from before `ready` or `reset` were not sent. */
@@ -267,6 +280,7 @@ class CompareView {
         style: { width: "auto" },
         onchange: () => {
           this.by = grouping.value;
+          this.open(this.ids, { replace: true });
           this.rebuildCharts();
         },
       },
@@ -406,8 +420,8 @@ class CompareView {
   }
 
   /**
-   * One chart for each metric, with the jobs that have it. A task's metric without a unit, such as the reward, is on a
-   * scale of that task: several tasks have a chart each.
+   * One chart for each metric, with the jobs that have it. What has no unit, such as the reward or a loss, is on a scale
+   * of its task: several tasks have a chart each.
    */
   wanted() {
     const charts = new Map();
@@ -415,7 +429,7 @@ class CompareView {
     for (const item of this.items)
       for (const c of this.known.charts(item.job.spec, item.metrics.columns.keys()))
         for (const metric of c.metrics) {
-          const task = several && c.group === "task" && !metric.unit ? ` · ${nameOf(item.job.spec, "task")}` : "";
+          const task = several && c.group !== "pace" && !metric.unit ? ` · ${nameOf(item.job.spec, "task")}` : "";
           const refs = c.refs.filter((ref) => ref.metric === metric.name);
           const key = [metric.name, metric.title, metric.unit].join() + task;
           const title = (c.metrics.length > 1 ? metric.title : c.title) + task;
@@ -813,16 +827,21 @@ class CompareView {
 
   add(id) {
     const wanted = id.trim();
-    if (wanted.startsWith("job_")) this.open([...new Set([...this.ids, wanted])]);
+    if (!wanted.startsWith("job_")) return;
+    this.group = null;
+    this.open([...new Set([...this.ids, wanted])]);
   }
 
   remove(id, how) {
+    this.group = null;
     this.ids = this.ids.filter((x) => x !== id);
     this.open(this.ids, how);
   }
 
   open(ids, how) {
-    this.go(`/compare${query({ jobs: ids.join(","), by: this.by === "none" ? null : this.by })}`, how);
+    const usual = this.group ? "settings" : "none";
+    const jobs = this.group ? null : ids.join(",");
+    this.go(`/compare${query({ group: this.group, jobs, by: this.by === usual ? null : this.by })}`, how);
   }
 
   csv() {
@@ -840,5 +859,5 @@ class CompareView {
 export async function mount(root, context) {
   const view = new CompareView(root, context);
   await view.start();
-  return { destroy: () => view.destroy() };
+  return { destroy: () => view.destroy(), update: (where) => view.update(where) };
 }

@@ -1,6 +1,6 @@
 /** Dialogs about a job: its name, tags and notes, links for others, and policies made of its checkpoints. */
 
-import { call } from "../api.js";
+import { call, submission } from "../api.js";
 import { fill, h, toast } from "../dom.js";
 import { integer, stamp } from "../format.js";
 import { isEnded } from "../states.js";
@@ -19,6 +19,7 @@ export function registerCheckpoint(job, checkpoint) {
   const aliases = h("input", { id: "policy-aliases", name: "policy-aliases", spellcheck: "false" });
   const notes = h("textarea", { id: "policy-notes", name: "policy-notes", rows: 3, maxlength: 10000 });
   const trouble = h("p", { class: "problem", role: "alert" });
+  const send = submission();
   const submit = async (event) => {
     event.preventDefault();
     const path = `policies/${encodeURIComponent(name.value.trim())}/versions`;
@@ -29,7 +30,7 @@ export function registerCheckpoint(job, checkpoint) {
       notes: notes.value,
     };
     try {
-      const card = await call(path, { method: "POST", body });
+      const card = await send(path, body);
       dialog.close();
       toast(`Step ${integer(checkpoint.step)} is policy ${card.reference}.`);
     } catch (error) {
@@ -109,14 +110,17 @@ export function editJob(job) {
     const trouble = h("p", { class: "problem", role: "alert" });
     const submit = async (event) => {
       event.preventDefault();
-      const body = {
+      const wanted = {
         name: name.value.trim(),
         tags: separated(tags.value),
         notes: notes.value,
-        ...(isEnded(job.state) ? {} : { priority: Number(priority.value) }),
+        priority: Number(priority.value),
       };
+      // what was not changed here may have changed elsewhere
+      const own = Object.entries(wanted).filter(([key, value]) => String(value) !== String(job[key]));
+      const body = Object.fromEntries(own);
       try {
-        changed = await call(`jobs/${encodeURIComponent(job.id)}`, { method: "PATCH", body });
+        if (own.length) changed = await call(`jobs/${encodeURIComponent(job.id)}`, { method: "PATCH", body });
         dialog.close();
       } catch (error) {
         complain(trouble, error);

@@ -1,6 +1,6 @@
 /** Form that submits a match of two teams. */
 
-import { call, every } from "../api.js";
+import { every, submission } from "../api.js";
 import { h } from "../dom.js";
 import { complain, field, open } from "./dialog.js";
 
@@ -51,6 +51,7 @@ export async function newMatch(signal) {
   );
   const gate = h("input", { id: "match-gate", name: "match-gate", type: "checkbox" });
   const trouble = h("p", { class: "problem", role: "alert" });
+  const send = submission();
   const submit = async (event) => {
     event.preventDefault();
     const body = {
@@ -62,7 +63,7 @@ export async function newMatch(signal) {
       gate: gate.checked,
     };
     try {
-      const match = await call("matches", { method: "POST", body });
+      const match = await send("matches", body);
       dialog.close();
       location.hash = `#/matches/${match.id}`;
     } catch (error) {

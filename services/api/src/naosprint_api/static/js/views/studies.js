@@ -1,10 +1,11 @@
 /** The studies: searches for settings. */
 
 import { may } from "../api.js";
+import { descriptions } from "../descriptions.js";
 import { fill, h, heading, icon, scroller, table } from "../dom.js";
 import { ago, stamp } from "../format.js";
 import { listed, loading } from "./messages.js";
-import { studyBadge } from "./study.js";
+import { objectives, studyBadge } from "./study.js";
 
 const REFRESH_MS = 10_000;
 const HEADINGS = ["Study", "State", "Objectives", "Trials", "Started"];
@@ -21,13 +22,13 @@ const NONE = h(
   ),
 );
 
-const row = (study) =>
+const row = (study, known) =>
   h(
     "tr",
     null,
     h("td", null, h("a", { href: `#/studies/${study.id}` }, study.name)),
     h("td", null, studyBadge(study.state)),
-    h("td", null, study.spec.objectives.map((goal) => `${goal.direction} ${goal.metric}`).join(", ")),
+    h("td", null, objectives(study, known)),
     h("td", { class: "num" }, String(study.spec.trials)),
     h("td", { class: "num", title: stamp(study.created_at) }, ago(study.created_at)),
   );
@@ -40,10 +41,17 @@ export async function mount(root, { signal }) {
     ? h("a", { class: "button primary", href: "#/submit?study=1" }, icon("plus"), "New study")
     : null;
   fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Studies"), start), box);
-  const draw = (items) => {
+  const draw = async (items) => {
     if (!items.length) return NONE;
+    const known = await descriptions();
     const headings = HEADINGS.map((title, i) => heading(title, i > 2));
-    return scroller("Studies", table(headings, items.map(row)));
+    return scroller(
+      "Studies",
+      table(
+        headings,
+        items.map((study) => row(study, known)),
+      ),
+    );
   };
   await listed(box, "studies", draw, REFRESH_MS, signal);
 }

@@ -27,6 +27,16 @@ const MOST_TRIALS = 1000;
 export const studyBadge = (state) =>
   h("span", { class: "state", "data-tone": TONES[state] ?? "grey", "data-state": state }, words(state));
 
+/** Title of what is measured in a study's trials; names of those that run elsewhere are kept. */
+const described = ({ spec, job }, known, name) =>
+  spec.elsewhere ? { ...plain(name), title: name } : known.measured(job.spec, name);
+
+/** What a study optimizes: "minimize falls, maximize speed". */
+export const objectives = (study, known) =>
+  study.spec.objectives
+    .map(({ direction, metric }) => `${words(direction)} ${described(study, known, metric).title}`)
+    .join(", ");
+
 /** Complete trials, the best in the first objective first. */
 function ranking(study) {
   const factor = study.spec.objectives[0].direction === "maximize" ? -1 : 1;
@@ -62,7 +72,7 @@ function trialTable(study, goals) {
           { "data-trial": trial.number },
           h(
             "td",
-            null,
+            { class: "nowrap" },
             trial.job_id
               ? h("a", { href: `#/jobs/${trial.job_id}` }, `Trial ${trial.number}`)
               : `Trial ${trial.number}`,
@@ -232,11 +242,7 @@ export async function mount(root, { id, signal, go }) {
         "div",
         { class: "grow" },
         h("h1", null, study.name),
-        h(
-          "p",
-          { class: "soft" },
-          `${study.spec.objectives.map((goal) => `${words(goal.direction)} ${goal.metric}`).join(", ")} · ${ended} of ${study.spec.trials} trials have ended`,
-        ),
+        h("p", { class: "soft" }, `${objectives(study, known)} · ${ended} of ${study.spec.trials} trials have ended`),
       ),
       studyBadge(study.state),
       may("submit") ? buttons() : null,
@@ -257,16 +263,15 @@ export async function mount(root, { id, signal, go }) {
 
   async function read(failed) {
     study = await call(`studies/${id}`, { signal });
-    const { elsewhere, objectives, pruning } = study.spec;
-    const describe = (name) => (elsewhere ? { ...plain(name), title: name } : known.measured(study.job.spec, name));
-    const metric = describe(pruning.metric ?? "reward");
+    const describe = (name) => described(study, known, name);
+    const metric = describe(study.spec.pruning.metric ?? "reward");
     const lines = await load(metric.name);
     const text = JSON.stringify([study, lines]);
     if (failed || text !== shown)
       paint(
         lines,
         metric,
-        objectives.map((goal) => describe(goal.metric)),
+        study.spec.objectives.map((goal) => describe(goal.metric)),
       );
     shown = text;
     return [study, ...study.trials].some(({ state }) => state === "running");

@@ -1,6 +1,6 @@
 /** Form that submits a job, made from the service's JSON schema, presets and recipes. No plug-in is named here. */
 
-import { call } from "../api.js";
+import { call, submission } from "../api.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, setText, toast } from "../dom.js";
 import { compact, integer, words } from "../format.js";
@@ -38,8 +38,7 @@ class SubmitView {
     /** What a study varies and optimizes; null in the form of a job. */
     this.study = params.has("study") ? new StudyForm(this) : null;
     this.title = this.study ? "New study" : "New job";
-    // One key per form: pressing the button twice, or again after a lost answer, makes one job.
-    this.key = crypto.randomUUID?.() ?? String(Math.random());
+    this.send = submission();
   }
 
   async start() {
@@ -61,6 +60,13 @@ class SubmitView {
     this.families = new Map(robots.map((r) => [r.name, r.family]));
     this.known = known;
     this.model = model;
+    const again = this.params.has("from");
+    // What is submitted again starts from the same policy: by its name, where it was named.
+    this.parentPolicy = again ? model.parent_policy : null;
+    this.parent = again
+      ? { job: model.parent_job_id, checkpoint: model.parent_checkpoint_id }
+      : { job: this.params.get("parent"), checkpoint: this.params.get("checkpoint") };
+    if (this.parentPolicy) this.parent = {};
     this.build();
   }
 
@@ -146,7 +152,7 @@ class SubmitView {
     };
     seed.element.querySelector(".hint").textContent = seed.spec.hint;
     const tags = this.fields.get("tags");
-    tags.spec = { ...tags.spec, read: (text) => text.split(/[\s,]+/).filter(Boolean) };
+    tags.spec = { ...tags.spec, kind: "list", read: (text) => text.split(/[\s,]+/).filter(Boolean) };
     this.fields.get("name").control.placeholder = "default: task, preset and seed";
     this.sections = new Map(SECTIONS.map(([name]) => [name, h("div", { class: "fields" })]));
 
@@ -172,6 +178,8 @@ class SubmitView {
         onchange: () => {
           const job = this.recipes.get(recipe.value)?.job ?? { spec: {} };
           this.parentPolicy = job.parent_policy;
+          if (this.params.has("from")) this.parent = {};
+          this.paintOrigin();
           this.fillFrom(job);
         },
       },
@@ -187,7 +195,8 @@ class SubmitView {
     this.preview = h("pre", { class: "code", tabindex: 0, "aria-label": "Request body" });
     this.overview = h("dl", { class: "pairs" });
     this.button = h("button", { class: "primary", type: "submit" }, "Submit job");
-    const parent = this.params.get("parent");
+    this.origin = h("div");
+    this.paintOrigin();
     const sectionCard = (name) => card(titleOf(name), this.sections.get(name), SECTIONS.find(([n]) => n === name)[1]);
     fill(
       this.root,
@@ -213,14 +222,7 @@ class SubmitView {
             "div",
             { class: "stack" },
             this.trouble,
-            parent
-              ? notice("info", "Starts from a trained policy:", [
-                  h("a", { href: `#/jobs/${parent}` }, this.model.name),
-                  this.params.get("checkpoint")
-                    ? [", checkpoint ", h("code", null, this.params.get("checkpoint"))]
-                    : ", newest checkpoint",
-                ])
-              : null,
+            this.origin,
             this.recipes.size
               ? h(
                   "div",
@@ -285,7 +287,23 @@ class SubmitView {
     this.preset = current;
     for (const [name] of SECTIONS) this.buildSection(name, {});
     this.setPreset(current);
-    if (this.model) this.fillFrom(parent ? { spec: this.model.spec, evaluation: this.model.evaluation } : this.model);
+    if (this.model)
+      this.fillFrom(
+        this.params.has("parent") ? { spec: this.model.spec, evaluation: this.model.evaluation } : this.model,
+      );
+  }
+
+  /** Show which policy the training starts from. */
+  paintOrigin() {
+    const { job, checkpoint } = this.parent;
+    const source = job
+      ? [
+          h("a", { href: `#/jobs/${job}` }, this.params.has("parent") ? this.model.name : job),
+          checkpoint ? [", checkpoint ", h("code", null, checkpoint)] : ", newest checkpoint",
+        ]
+      : this.parentPolicy && h("code", null, this.parentPolicy);
+    fill(this.origin, source ? notice("info", "Starts from a trained policy:", source) : null);
+    this.origin.hidden = !source;
   }
 
   /**
@@ -433,8 +451,7 @@ class SubmitView {
     }
     if (failed) throw Object.assign(new Error("Some fields are not valid."), { field: failed });
     if (spec.stages?.length) delete spec.total_steps; // their sum
-    const parent = this.params.get("parent");
-    const checkpoint = this.params.get("checkpoint");
+    const { job: parent, checkpoint } = this.parent;
     const job = {
       ...out,
       spec,
@@ -511,7 +528,7 @@ class SubmitView {
     }
     this.button.disabled = true;
     try {
-      const made = await call(path, { method: "POST", body, headers: { "Idempotency-Key": this.key } });
+      const made = await this.send(path, body);
       toast(
         path === "groups"
           ? `${made.jobs.length} jobs submitted.`
@@ -519,7 +536,6 @@ class SubmitView {
       );
       this.go(path === "groups" ? `/compare?group=${made.id}` : `/${path}/${made.id}`);
     } catch (error) {
-      this.key = crypto.randomUUID?.() ?? String(Math.random());
       this.refused(error);
     } finally {
       this.button.disabled = false;
