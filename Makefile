@@ -60,7 +60,7 @@ format: $(INSTALLED)  ## format Python and JavaScript
 	@if command -v npm >/dev/null; then $(MAKE) --silent $(BIOME) && cd services/api && npm run --silent format; fi
 
 types: $(INSTALLED)
-	$(BIN)/mypy $(foreach package,$(PACKAGES),$(package)/src) benchmarks tools
+	$(BIN)/mypy $(foreach package,$(PACKAGES),$(package)/src) benchmarks docs tools
 
 soak: $(INSTALLED)  ## break a whole service of real processes 30 times, then check that nothing was lost (5 to 15 minutes)
 	$(BIN)/python benchmarks/service/soak.py --faults 30 --seed 30 --longest 3 --updates 150

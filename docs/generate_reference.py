@@ -23,8 +23,7 @@ from naojobs.events import EVENT_KINDS
 from naojobs.settings import ServiceSettings
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naospec import EvaluationSpec, RuntimeSettings, Stage, TrainingSpec, flat, plugins, presets, recipes
-from naosprint.rl.columns import ENGINES, PACE, PROGRESS
-from naosprint.tasks.base import EPISODE_METRICS
+from naospec.metrics import ENGINES, EPISODE_METRICS, PACE, PROGRESS
 from naosprint_api.app import openapi_document
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
@@ -69,7 +68,7 @@ def pages() -> dict[str, str]:
 
 
 def _naoctl() -> Iterator[str]:
-    program = typer.main.get_command(build_app())
+    program: Any = typer.main.get_command(build_app())  # typer has a click of its own
     yield "# naoctl"
     yield f"\n{_text(program.help)}\n"
     yield from _click_options(program, "naoctl")
@@ -218,7 +217,7 @@ def _specification() -> Iterator[str]:
 
 def _about(group: str, name: str) -> str:
     """Return one line about a plug-in."""
-    plugin = plugins.load(group, name)
+    plugin: Any = plugins.load(plugins.Group[Any](group), name)
     return str(plugin.title if group == plugins.ROBOTS else plugin.summary)
 
 
@@ -228,7 +227,7 @@ def _settings_of(section: str, names: set[str]) -> Iterator[str]:
     for setting in flat.settings().values():
         if setting.path[0] != section or len(setting.path) != 2 or setting.path[1] == "name":
             continue
-        part = create_model("_", value=(setting.info.annotation, setting.info)).model_json_schema()
+        part = create_model("_", value=(cast(Any, setting.info.annotation), setting.info)).model_json_schema()
         field = part["properties"].get("value", {})
         unit = f" Unit: {field['unit']}." if "unit" in field else ""
         whose = ", ".join(_code(name) for name in setting.plugins) if set(setting.plugins) != names else ""

@@ -22,7 +22,7 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
-sys.path.insert(0, str(ROOT / "tests" / "e2e" / "dashboard"))
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "e2e" / "dashboard")]
 from conftest import CHROMEDRIVER, CHROMIUM, Browser, start_chromium  # noqa: E402
 
 VIEW_WIDTH = 1280  # CSS pixels of a screenshot

@@ -8,8 +8,8 @@ Lines of Python, C++, JavaScript and CSS without generated and foreign ones; JSO
 
 from __future__ import annotations
 
+import argparse
 import subprocess
-import sys
 from pathlib import Path, PurePosixPath
 
 ROOT = Path(__file__).parents[1]
@@ -53,7 +53,9 @@ def git(*arguments: str) -> str:
 
 def main() -> None:
     """Print a table."""
-    commits = [*sys.argv[1:], "HEAD"]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("commits", nargs="*", metavar="COMMIT", help="shown beside HEAD")
+    commits = [*parser.parse_args().commits, "HEAD"]
     counts = [lines_of(commit) for commit in commits]
     rooms = sorted({room for count in counts for room in count})
     sums = {"all code": [sum(n for room, n in count.items() if room not in OTHER.values()) for count in counts]}

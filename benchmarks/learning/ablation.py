@@ -210,7 +210,6 @@ def plot(name: str, study: Study, runs: list[dict[str, Any]]) -> None:
         labels = [each.split(" (")[0] for each in conditions]
         panels[1].set_xticks(np.arange(len(conditions)), labels, rotation=25, ha="right", rotation_mode="anchor")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8.5)
-        figure.savefig(HERE / f"{name}.svg", metadata={"Date": None})
         figure.savefig(HERE / f"{name}.png", dpi=130)
 
 

@@ -506,7 +506,6 @@ def _curves(runs: Sequence[tuple[str, dict[str, Any], str]], name: str) -> None:
 
 
 def _save(figure: Any, name: str) -> None:
-    figure.savefig(HERE / f"{name}.svg", metadata={"Date": None})
     figure.savefig(HERE / f"{name}.png", dpi=130)
 
 

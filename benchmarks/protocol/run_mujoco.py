@@ -11,6 +11,7 @@ one server, all its threads, and of the client per server.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import socket
 import statistics
@@ -54,7 +55,6 @@ class Fleet(MujocoFleet):
     def _connect_port(self, row: int, host: str, port: int, deadline: float) -> socket.socket:
         connection = super()._connect_port(row, host, port, deadline)
         self.agents[row] = connection.dup()  # of both ports; the agent's comes last
-        self.agents[row].setblocking(True)
         return connection
 
 
@@ -63,8 +63,18 @@ def exchange_raw(agents: list[socket.socket], message: bytes) -> None:
     for agent in agents:
         agent.sendall(message)
     for agent in agents:
-        size = int.from_bytes(agent.recv(4, socket.MSG_WAITALL), "big")
-        agent.recv(size, socket.MSG_WAITALL)
+        received(agent, int.from_bytes(received(agent, 4), "big"))
+
+
+def received(agent: socket.socket, size: int) -> bytes:
+    """Return so many bytes; a single read of the fleet's sockets waits for the server for a moment only."""
+    data = b""
+    while len(data) < size:
+        with contextlib.suppress(BlockingIOError):
+            if not (part := agent.recv(size - len(data), socket.MSG_WAITALL)):
+                raise ConnectionError("the server has closed the connection")
+            data += part
+    return data
 
 
 def framed(text: str) -> bytes:

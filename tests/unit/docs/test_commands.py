@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import runpy
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import pytest
 import yaml
@@ -42,6 +46,9 @@ SYSTEM = {
     "sbatch",
 }
 """Programs of the system, whose arguments are not checked."""
+
+OURS = tuple(f"{ROOT / folder}{os.sep}" for folder in ("benchmarks", "docs", "tests", "tools"))
+"""Folders without a package, whose modules lie beside the programs that import them."""
 
 COMPOSE = {"up", "down", "exec", "ps", "build", "logs", "stop", "run", "pull"}
 """Commands of `docker compose` that the documents use."""
@@ -82,7 +89,40 @@ def check_python(words: list[str]) -> None:
         modules[words[1]]().parse_args(words[2:])
     else:
         assert (ROOT / words[0]).is_file(), f"there is no {words[0]}"
-        compile((ROOT / words[0]).read_bytes(), words[0], "exec")
+        source = (ROOT / words[0]).read_text(encoding="utf-8")
+        if "ArgumentParser(" in source:
+            check_program(ROOT / words[0], words[1:])
+        else:
+            compile(source, words[0], "exec")
+
+
+def check_program(program: Path, words: list[str]) -> None:
+    """Run a program as far as it has parsed its arguments, where nothing is loaded but what is installed."""
+    parse_args = argparse.ArgumentParser.parse_args
+
+    class ParsedError(Exception): ...
+
+    def parse(parser: argparse.ArgumentParser, *arguments: Any) -> None:
+        parse_args(parser, *arguments)
+        raise ParsedError
+
+    def ours() -> set[str]:
+        files = {name: str(getattr(module, "__file__", "")) for name, module in sys.modules.items()}
+        return {name for name, file in files.items() if name.split(".")[0] == "tests" or file.startswith(OURS)}
+
+    with pytest.MonkeyPatch.context() as patch, mock.patch.dict(os.environ), pytest.raises(ParsedError):
+        patch.setattr(sys, "argv", [str(program), *words])
+        patch.setattr(
+            sys, "path", [str(program.parent), *(place for place in sys.path if place not in ("", str(ROOT)))]
+        )
+        patch.setattr(argparse.ArgumentParser, "parse_args", parse)
+        for name in ours():
+            patch.delitem(sys.modules, name)
+        try:
+            runpy.run_path(str(program), run_name="__main__")
+        finally:
+            for name in ours():
+                del sys.modules[name]
 
 
 def check_torchrun(words: list[str]) -> None:
@@ -135,7 +175,7 @@ CHECKS: dict[str, Callable[[list[str]], None]] = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=str)
+@pytest.mark.parametrize("command", [*COMMANDS, *documents.commands_in_text()], ids=str)
 def test_every_command_in_the_documents_is_right(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     program, words = Path(command.words[0]), list(command.words[1:])
     if program.parts[:1] in {("deploy",), ("services",), ("tests",)} or program.suffix == ".sh":
@@ -148,6 +188,14 @@ def test_every_command_in_the_documents_is_right(command: Command, capsys: pytes
         CHECKS[program.name](words)
     except SystemExit:  # argparse has printed the reason
         pytest.fail(capsys.readouterr().err)
+
+
+def test_every_program_states_how_it_is_called() -> None:
+    stated = {command.words[1] for command in documents.commands_in_text()}
+    programs = {
+        str(path.relative_to(ROOT)) for path in documents.PROGRAMS if "ArgumentParser(" in path.read_text("utf-8")
+    }
+    assert programs <= stated
 
 
 def test_the_documents_speak_of_most_things() -> None:
