@@ -420,8 +420,8 @@ class CompareView {
   }
 
   /**
-   * One chart for each metric, with the jobs that have it. What has no unit, such as the reward or a loss, is on a scale
-   * of its task: several tasks have a chart each.
+   * One chart for each metric, with the jobs that have it. What has no unit, such as the reward or a loss, is on a
+   * scale of its task: several tasks have a chart each.
    */
   wanted() {
     const charts = new Map();
