@@ -77,7 +77,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="naosprint", description="Train, evaluate, replay and export policies.")
     added = parser.add_subparsers(required=True, metavar="command", parser_class=_CommandParser)
 
-    def command(run: Callable[[argparse.Namespace], int], summary: str, description: str | None = None) -> Any:
+    def command(
+        run: Callable[[argparse.Namespace], int], summary: str, description: str | None = None
+    ) -> _CommandParser:
         """Add a command, which is described by the function that runs it."""
         found = added.add_parser(run.__name__, help=summary, description=description or run.__doc__)
         found.set_defaults(run=run)
