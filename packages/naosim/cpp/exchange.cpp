@@ -221,6 +221,11 @@ bool Exchange::parse(int row, bool monitor) {
       fail(row, "malformed reply: " + problem);
       return false;
     }
+    // at a handshake a server may greet with several messages, and be too slow to be caught running by itself
+    if (c.admitted && c.messages > c.message_goal) {
+      fail(row, "a message came that answers no command: it must run in sync mode");
+      return false;
+    }
   }
   if (stream.used == stream.buffer.size()) {
     stream.buffer.clear();

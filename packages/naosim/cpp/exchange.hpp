@@ -27,8 +27,8 @@ class Exchange {
   // With `keeping`, admitted rows are renewed meanwhile.
   // Returns how many rows have failed in total.
   int gather(const std::uint8_t* rows, double timeout_s, bool keeping);
-  // Keep the row's robot from now on: its server is among those that `renew` steps. Until then, and once it is detached, another
-  // thread may work on the row.
+  // Keep the row's robot from now on: its server is among those that `renew` steps, and fails once it sends more messages than
+  // it got commands. Until then, and once it is detached, another thread may work on the row.
   void admit(int row) { channels_[row].admitted = true; }
   // Servers are stepped after this silence of ours. One that drops its robot after more than twice as much is not to blame.
   void set_silence(double silence_s) { silence_s_ = silence_s; }

@@ -118,6 +118,18 @@ def test_a_frame_that_has_come_already_answers_no_later_command(server: Server) 
     assert server.views["time"][0] == 1.22
 
 
+def test_a_server_that_does_not_wait_is_told(server: Server) -> None:
+    """At the handshake it may have been too slow to be noticed."""
+    server.exchange.admit(0)
+    server.exchange.dispatch(np.zeros((1, 22)), None)
+    server.monitor.sendall(protocol.frame(b"((time 0))"))
+    server.agent.sendall(protocol.frame(GOOD))
+    assert server.exchange.gather(None, 5.0, False) == 0
+    server.agent.sendall(protocol.frame(GOOD))
+    server.exchange.drain(0, 0.05, 5.0)
+    assert server.exchange.failure(0) == "a message came that answers no command: it must run in sync mode"
+
+
 def test_acknowledgements_are_not_delayed() -> None:
     """Otherwise rcssserver3d delays each frame by 40 ms after a trainer's command."""
     server = Server()

@@ -396,8 +396,14 @@ def test_a_server_that_does_not_wait_or_does_not_run_is_named() -> None:
     hasty = ServerProgram(
         "rcssservermj", tuple(a for a in RCSSSERVERMJ.arguments if a not in ("--sync", "--no-realtime"))
     )
-    with pytest.raises(ServerLostError, match="it must run in sync mode"):
-        MujocoFleet(ProcessLauncher(hasty, (sys.executable, "-m", "rcsssmj")), T1, 1, start_timeout_s=15.0)
+    launcher = ProcessLauncher(hasty, (sys.executable, "-m", "rcsssmj"))
+    with (
+        pytest.raises(ServerLostError, match="it must run in sync mode"),
+        MujocoFleet(launcher, T1, 1, start_timeout_s=15.0, max_failures=0) as fleet,
+    ):
+        while True:  # on a busy machine it may be too slow to be noticed when it starts
+            fleet.step(np.zeros((1, len(T1.joint_names))))
+            fleet.replace()
     broken = ProcessLauncher(RCSSSERVERMJ, ("sh", "-c", "echo oh no; exit 3"))
     with pytest.raises(ServerLostError, match=r"exit code 3, log: \.\.\.oh no"):
         MujocoFleet(broken, T1, 1)
