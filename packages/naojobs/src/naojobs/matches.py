@@ -115,8 +115,17 @@ class StoredGame:
     manifest: StoreManifest
 
 
-def record_game(sessions: Sessions, lease: Lease, game: StoredGame, summary: Mapping[str, Any]) -> None:
-    """Write a game of a leased match, and the results of all games so far; once. Raises LeaseLostError."""
+def record_game(
+    sessions: Sessions,
+    lease: Lease,
+    game: StoredGame,
+    summary: Mapping[str, Any],
+    lines: Iterable[tuple[str, str]] = (),
+) -> None:
+    """Write a game of a leased match, the results of all games so far and `lines` of the match's log; once.
+
+    Raises LeaseLostError.
+    """
     with sessions.begin() as session:
         match = hold_as(session, lease, Match)
         match.summary, match.live = dict(summary), None
@@ -127,6 +136,8 @@ def record_game(sessions: Sessions, lease: Lease, game: StoredGame, summary: Map
             manifest = game.manifest.model_dump(mode="json")
             session.add(MatchGame(match_id=match.id, number=game.number, key=game.key, manifest=manifest, **row))
             match.size += game.manifest.size
+            for level, text in lines:
+                add_line(session, match, level, text)
         notify(session, match.id)
 
 

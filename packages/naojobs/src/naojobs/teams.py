@@ -5,8 +5,10 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import os
 import posixpath
 import tarfile
+from pathlib import PurePosixPath
 from typing import Any, Literal
 from zlib import error as ZlibError
 
@@ -34,6 +36,8 @@ Film = Literal["off", "goals", "all"]
 """What is filmed of a game: nothing, what led to goals, or all of it."""
 MAX_TEAM_BYTES, MAX_TEAM_FILES = 64 << 20, 2_000
 """Bytes and files of an unpacked team."""
+_MAX_NAME_BYTES, _MAX_PATH_BYTES, _MAX_TIME_S = 255, 1_000, 1 << 40
+"""Limits of Linux's file systems, of which a worker's folder needs a part."""
 _MAX_FILE_BYTES = 100_000
 """Bytes of a team.json, as for a match."""
 
@@ -131,8 +135,8 @@ class TeamArchive:
         data: the archive.
 
     Raises:
-        InvalidError: if it is none, has links, devices, a name twice or names that lead out of it, is too large, or its
-            team.json is missing, malformed, or reads folders outside.
+        InvalidError: if it is none, has links, devices, a name twice or names that lead out of it, cannot be unpacked,
+            is too large, or its team.json is missing, malformed, or reads folders outside.
 
     Attributes:
         data: the archive, not compressed.
@@ -178,19 +182,29 @@ def _unpacked(data: bytes) -> bytes:
 def _checked(archive: tarfile.TarFile) -> dict[str, tarfile.TarInfo]:
     """Return the files and folders of an archive by the paths to which they are unpacked.
 
-    Raises InvalidError for whatever else is in it, and for two entries of one path, of which the last would count.
+    Raises InvalidError for whatever else is in it, for two entries of one path, of which the last would count, and for
+    what cannot be unpacked.
     """
     found: dict[str, tarfile.TarInfo] = {}
     for count, member in enumerate(archive, start=1):
         name, path = member.name, posixpath.normpath(member.name)
         if count > MAX_TEAM_FILES:
             raise InvalidError(f"a team has at most {MAX_TEAM_FILES:,} files and folders; pack fewer", "body")
-        plain = member.isdir() or (member.isfile() and not member.issparse())
+        plain = member.isdir() or (member.isfile() and not member.issparse() and member.size >= 0 and path != ".")
         if not plain or ".." in name.split("/") or name.startswith("/"):
             raise InvalidError(f"{name[:200]!r}: pack only files and folders below the team's own", "body")
+        encoded = os.fsencode(path)
+        if b"\0" in encoded or len(encoded) > _MAX_PATH_BYTES or max(map(len, encoded.split(b"/"))) > _MAX_NAME_BYTES:
+            raise InvalidError(f"{path[:200]!r}: is no name of a file, or too long; use another one", "body")
+        if not abs(member.mtime) < _MAX_TIME_S:  # nor not a number
+            raise InvalidError(f"{path[:200]!r}: has no time of modification; pack it again", "body")
         if path in found:
             raise InvalidError(f"{path[:200]!r}: is in the archive twice; pack it once", "body")
         found[path] = member
+    files = {path for path, member in found.items() if not member.isdir()}
+    for path in found:
+        if files.intersection(map(str, PurePosixPath(path).parents)):
+            raise InvalidError(f"{path[:200]!r}: is below a file; pack a folder in its place", "body")
     return found
 
 

@@ -22,7 +22,7 @@ from naojobs.states import WorkState
 from naojobs.store import StoreError, StoreManifest, game_key, new_nonce
 from naojobs.teams import ARCHIVE, MatchTeam
 from naosprint.matches.film import film_name, goal_frames, write_game_film
-from naosprint.matches.game import GameSettings, Moment, ServerFailedError, TeamFailedError
+from naosprint.matches.game import GameSettings, MatchError, Moment, TeamFailedError
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import MatchStoppedError, log_name, play_match
 from naosprint.matches.results import match_results
@@ -35,6 +35,7 @@ from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRe
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.outcome import Outcome, TrainerExitCode
 from naosprint_worker.retry import retry
+from naosprint_worker.spool import link_or_copy
 
 
 def work(services: Services) -> Outcome:
@@ -45,10 +46,10 @@ def work(services: Services) -> Outcome:
     except (StopRequestedError, MatchStoppedError):
         services.requeue_if_orphaned(claim.lease)
         return Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
-    except ServerFailedError as error:
-        return Outcome(TrainerExitCode.TRANSIENT, "system", str(error))
     except TeamFailedError as error:
         return Outcome(TrainerExitCode.PERMANENT, "team", str(error))
+    except MatchError as error:
+        return Outcome(TrainerExitCode.TRANSIENT, "system", str(error))
     return Outcome(TrainerExitCode.FINISHED, "finished", "the match finished")
 
 
@@ -71,7 +72,8 @@ class _Match:
                 folder = services.workdir / "game"
                 services.fetch(log.key, folder, StoreManifest.model_validate(log.manifest))
                 self._folder.mkdir(exist_ok=True)
-                (folder / log_name(number)).replace(self._folder / log_name(number))
+                path = (folder / log_name(number)).replace(self._folder / log_name(number))
+                self._logs[number] = GameLog.load(path)  # at once: each result is that of all games that are over
             first, second = (self._team(team, f"team-{'ab'[side]}") for side, team in enumerate(spec.teams))
         self._database(
             lambda: outcomes.transition(services.sessions, claim.lease, WorkState.RUNNING, message="running")
@@ -154,7 +156,7 @@ class _Match:
             return
         services, lease = self._services, self._claim.lease
         folder = self._game_folder(number)
-        (folder / log_name(number)).hardlink_to(self._folder / log_name(number))
+        link_or_copy(str(self._folder / log_name(number)), str(folder / log_name(number)))
         key = game_key(lease.id, number, lease.attempt, new_nonce())
         manifest = retry(
             lambda: services.store.put_directory(key, folder),
@@ -164,12 +166,12 @@ class _Match:
         )
         lost = [{"half": half, **each} for half, notes in enumerate(log.notes["halves"]) for each in notes["lost"]]
         game = StoredGame(number, log.goals, lost, key, manifest)
-        self._database(lambda: matches.record_game(services.sessions, lease, game, self._summary()))
-        self._note("info", f"game {number} ended {log.goals[0]}:{log.goals[1]}")
+        lines = [("info", f"game {number} ended {log.goals[0]}:{log.goals[1]}")]
         for each in lost:
             who = f"{log.teams[each['team']]}, player {each['number']}"
             when = f"game {number}, half {each['half'] + 1}, {each['clock_s']:.0f} s"
-            self._note("warning", f"{when}: lost {who}: {each['reason']}")
+            lines.append(("warning", f"{when}: lost {who}: {each['reason']}"))
+        self._database(lambda: matches.record_game(services.sessions, lease, game, self._summary(), lines))
 
     def _summary(self) -> dict[str, Any]:
         logs = [log for _, log in sorted(self._logs.items())]

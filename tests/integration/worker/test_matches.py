@@ -1,0 +1,105 @@
+"""Children of matches, without servers: what a match has when an attempt at it was cut off, or cannot play."""
+
+from __future__ import annotations
+
+import errno
+
+import pytest
+from naojobs import matches, outcomes
+from naojobs.leases import MatchClaim
+from naojobs.matches import MatchRequest, StoredGame
+from naojobs.models import Match
+from naojobs.states import WorkState
+from naojobs.store import game_key, new_nonce
+from naojobs.teams import upload_team
+from naosim.launchers import LABELS_VARIABLE
+from naosim.mujoco.program import PROGRAM_VARIABLE
+from naosprint.matches.log import GameLog
+from naosprint.matches.match import log_name
+from naosprint_worker import match
+from naosprint_worker.assignment import write_assignment
+from naosprint_worker.child_process import Services, StopRequest
+from naosprint_worker.outcome import Outcome, TrainerExitCode
+from naosprint_worker.progress import Progress
+
+from tests.integration.attempts import claim_work
+from tests.unit.naojobs.test_team_archives import TEAM, packed
+from tests.unit.naosprint.matches.test_results import game
+
+from .conftest import Service
+
+
+def claim_match(service: Service, match_id: str) -> MatchClaim:
+    claim = claim_work(service.sessions, Match, match_id, "worker")
+    assert claim is not None
+    return claim
+
+
+def submit_match(service: Service) -> str:
+    team = packed(("team.json", TEAM))
+    upload_team(service.sessions, service.store, owner="tester", name="standing", data=team)
+    request = MatchRequest(("standing", "standing"), 2, 1, 10.0, film="off")
+    return matches.submit_match(service.sessions, request, owner="tester")[0].id
+
+
+def over() -> GameLog:
+    """Return a game that is over, in which the second team has lost a player."""
+    log = game()
+    lost = [{"team": 1, "number": 1, "clock_s": 3.0, "reason": "it ended"}]
+    log.notes["halves"] = [{"lost": lost, "cpu_s": [], "cycles": 1}]
+    return log
+
+
+def without_links(*_: object, **__: object) -> None:
+    raise PermissionError(errno.EPERM, "no links on this disk")
+
+
+def attempt(service: Service, claim: MatchClaim, *played: int) -> Outcome:
+    """Run the child of an attempt in whose folder the logs of some games are already."""
+    workdir = service.folder / "work" / str(claim.lease.attempt)
+    (workdir / "logs").mkdir(parents=True)
+    for number in played:
+        over().save(workdir / "logs" / log_name(number))
+    write_assignment(claim, workdir)
+    settings = service.settings.model_copy(update={"worker_games": 1})
+    services = (settings, service.sessions, service.store, workdir, StopRequest(), Progress(workdir))
+    return match.work(Services(*services))
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_the_results_are_those_of_all_games_in_whatever_order_they_were_recorded(
+    service: Service, monkeypatch: pytest.MonkeyPatch, links: bool
+) -> None:
+    """Of two games at a time the second was over first; then the worker died, and the next one plays one at a time."""
+    match_id = submit_match(service)
+    lease = claim_match(service, match_id).lease
+    outcomes.transition(service.sessions, lease, WorkState.RUNNING)
+    folder = service.folder / "second"
+    folder.mkdir()
+    over().save(folder / log_name(2))
+    key = game_key(match_id, 2, lease.attempt, new_nonce())
+    stored = StoredGame(2, (0, 0), [], key, service.store.put_directory(key, folder))
+    for _ in range(2):  # the first commit seemed to fail
+        matches.record_game(service.sessions, lease, stored, {"games": 1}, [("info", "game 2 ended 0:0")])
+    outcomes.lose(service.sessions, lease, "killed")
+
+    if not links:  # of this disk
+        monkeypatch.setattr("os.link", without_links)
+    claim = claim_match(service, match_id)
+    assert attempt(service, claim, 1).code is TrainerExitCode.FINISHED
+    assert outcomes.succeed(service.sessions, claim.lease) is None
+    with service.sessions() as session:
+        summary = session.get_one(Match, match_id).summary
+    assert summary is not None and summary["games"] == 2
+    assert [each.number for each in matches.games_of(service.sessions, match_id)] == [1, 2]
+    lines = [each.message for each in matches.events_of(service.sessions, match_id, limit=100, after=None)]
+    assert [lines.count(f"game {number} ended 0:0") for number in (1, 2)] == [1, 1]
+    assert "game 1, half 1, 3 s: lost theirs, player 1: it ended" in lines
+
+
+def test_a_match_that_this_worker_cannot_play_is_tried_again(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(PROGRAM_VARIABLE, "launcher:http://127.0.0.1:9")
+    monkeypatch.setenv(LABELS_VARIABLE, "job=none,attempt=1")
+    outcome = attempt(service, claim_match(service, submit_match(service)))
+    assert (outcome.code, outcome.kind, outcome.traceback) == (TrainerExitCode.TRANSIENT, "system", "")
+    assert "a process of this machine" in outcome.message
