@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import http.client
 import json
+import logging
 import socket
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -114,6 +116,27 @@ def test_an_internal_error_leaves_the_connection_usable(
         connection.close()
         with engine.begin() as session:
             session.execute(text("ALTER TABLE hidden RENAME TO webhooks"))
+
+
+@pytest.mark.parametrize("path", ["PUT /teams/x", "POST /jobs/job_x/cancel", "POST /jobs"])
+@pytest.mark.parametrize("known", [True, False])
+def test_a_client_that_leaves_in_the_middle_of_a_body_is_no_failure_of_the_service(
+    api: Any, make_token: Callable[..., str], caplog: pytest.LogCaptureFixture, path: str, known: bool
+) -> None:
+    """Such answers would count as internal errors, of which operators are alerted, and need no token."""
+    caplog.set_level(logging.INFO)
+    head = f"{path} HTTP/1.1\r\nHost: x\r\nContent-Type: application/octet-stream\r\nContent-Length: 100000\r\n"
+    token = f"Authorization: Bearer {make_token('root', 'admin')}\r\n" if known else ""
+    host, port = api.url.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port))) as connection:
+        connection.sendall(f"{head}{token}\r\nabc".encode())
+    deadline = time.monotonic() + 30
+    while not (lines := [record for record in caplog.records if record.name == "naosprint_api.access"]):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    (line,) = lines
+    assert 400 <= int(line.args[2]) < 500  # type: ignore[index,arg-type]
+    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 
 def test_an_address_that_is_no_proxy_cannot_name_another(start_api: Callable[..., Any]) -> None:

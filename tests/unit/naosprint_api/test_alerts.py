@@ -9,6 +9,7 @@ from ipaddress import ip_network
 from pathlib import Path
 
 import pytest
+from naojobs import webhooks
 from naojobs.webhooks import is_alert
 from naosprint_api import alerts
 
@@ -91,9 +92,8 @@ def test_an_address_that_apprise_cannot_read_is_refused() -> None:
 
 
 @pytest.mark.parametrize("parameters", ["#?template=file://{}", "?silent=no;template=file://{}"])
-def test_no_alert_reads_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parameters: str) -> None:
+def test_no_alert_reads_a_file(tmp_path: Path, parameters: str) -> None:
     """The process that sends it checks an address as apprise reads it, whatever was registered."""
-    monkeypatch.setattr(alerts, "DEADLINE_S", 300.0)
     file = tmp_path / "none"
     url = "tgram://123456789:abcdefg_hijklmnop/12315544/" + parameters.format(file)
     body = '{"type": "job.ended", "data": {"name": "x", "state": "failed"}}'
@@ -124,12 +124,20 @@ def test_an_error_repeats_no_secret() -> None:
 
 
 def test_an_attempt_ends_at_its_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mail server that accepts the connection and says nothing."""
-    monkeypatch.setattr(alerts, "DEADLINE_S", 3.0)
+    """A mail server that accepts the connection and says nothing; the start of the process takes no time of it."""
+    assert alerts.START_S + alerts.DEADLINE_S < webhooks.TAKEN_S
+    monkeypatch.setattr(alerts, "DEADLINE_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"mailto://u:p@127.0.0.1:{silent.getsockname()[1]}?from=b@example.org&to=a@example.org"
         body = '{"type": "job.ended", "data": {"name": "x", "state": "failed"}}'
-        assert alerts.send(url, body, (ip_network("127.0.0.1/32"),)) == "no answer within 3 s"
+        assert alerts.send(url, body, (ip_network("127.0.0.1/32"),)) == "no answer within 0.2 s"
+
+
+def test_a_machine_too_busy_to_start_a_process_is_no_fault_of_an_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(alerts, "START_S", 0.0)
+    monkeypatch.setattr(alerts, "DEADLINE_S", 0.001)
+    with pytest.raises(alerts.BusyError, match="too busy"):
+        alerts.try_address(f"slack://{TOKENS}")
 
 
 def test_its_process_has_no_setting_of_the_service(monkeypatch: pytest.MonkeyPatch) -> None:

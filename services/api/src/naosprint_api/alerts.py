@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -23,8 +24,10 @@ from naojobs.webhooks import is_alert
 
 from naosprint_api.outbound import Network, is_refused_literal
 
-DEADLINE_S = 20.0
-"""Seconds that one attempt may take, with the start of its process."""
+START_S, DEADLINE_S = 30.0, 20.0
+"""Seconds that the process of an attempt may take to start, and then for the attempt: together they have to be less
+than `naojobs.webhooks.TAKEN_S`.
+"""
 TRIED_AT_A_TIME = 4
 """Addresses that are tried at a time."""
 GUIDE = "https://appriseit.com/services/"
@@ -39,7 +42,7 @@ _PASSED_ON = ("PATH", "LANG", "LC_ALL", "SSL_CERT_FILE", "SSL_CERT_DIR")
 
 
 class BusyError(Exception):
-    """Too many addresses are being tried."""
+    """Too many addresses are being tried, or this machine is too busy to start a process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +142,7 @@ def try_address(url: str) -> str | None:
     """Return none if apprise can read an address, or why not. It starts a process, and sends nothing.
 
     Raises:
-        BusyError: if :data:`TRIED_AT_A_TIME` others are being tried.
+        BusyError: if :data:`TRIED_AT_A_TIME` others are being tried, or the process did not start in time.
     """
     if not _trying.acquire(blocking=False):  # threads that wait here would be missing for other requests
         raise BusyError("other addresses are being tried; send the request again in a few seconds")
@@ -156,6 +159,9 @@ def send(url: str, body: str, networks: Sequence[Network]) -> str | None:
         url: address for apprise.
         body: the message as webhooks get it, JSON.
         networks: private networks that may be reached.
+
+    Raises:
+        BusyError: the process did not start in time.
     """
     message = json.loads(body)
     title, text = wording(message["type"], message["data"])
@@ -163,20 +169,22 @@ def send(url: str, body: str, networks: Sequence[Network]) -> str | None:
 
 
 def _run(request: Mapping[str, Any]) -> str | None:
-    """Have a process of its own handle an address; return its error."""
+    """Have a process of its own handle an address; return its error. Raises BusyError."""
     environment = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
     command = [sys.executable, "-P", "-m", "naosprint_api.alert_process"]
     try:
         done = subprocess.run(
             command,
-            input=json.dumps(request).encode(),
+            input=json.dumps({**request, "deadline_s": DEADLINE_S}).encode(),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env=environment,
-            timeout=DEADLINE_S,
+            timeout=START_S + DEADLINE_S,
             check=False,
         )
     except subprocess.TimeoutExpired:
+        raise BusyError("this machine is too busy; try again later") from None
+    if done.returncode == -signal.SIGALRM:
         return f"no answer within {DEADLINE_S:g} s"
     if done.returncode != 0:
         return f"the process that sends alerts ended with status {done.returncode}"

@@ -18,6 +18,7 @@ from pydantic import BaseModel, Field
 from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from naosprint_api import patterns
 
@@ -195,6 +196,9 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
         message = _REFUSALS.get(kind, "the database does not answer; try again later")
         return problem_response(503, message, headers={"Retry-After": "2"})
 
+    async def left(_request: Request, _error: Exception) -> JSONResponse:
+        return problem_response(400, "the connection ended before the body did")  # only counted and logged
+
     async def unexpected(_request: Request, _error: Exception) -> JSONResponse:
         # The envelope logs the traceback; the response has no internal details.
         return problem_response(500, "internal error; see the service's log")
@@ -210,4 +214,5 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
     app.add_exception_handler(StoreError, store)
     app.add_exception_handler(DBAPIError, database)
     app.add_exception_handler(PoolTimeoutError, database)
+    app.add_exception_handler(ClientDisconnect, left)
     app.add_exception_handler(Exception, unexpected)
