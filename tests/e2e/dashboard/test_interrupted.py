@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from naojobs.models import Token
+from naojobs.database import notify
+from naojobs.models import Job, MetricsRecord, Token
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
 from sqlalchemy import func, update
 
 if TYPE_CHECKING:
@@ -23,6 +27,26 @@ LOSE_ONE_POST = """
     };
 """
 WAITING: dict[str, Any] = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+
+
+HOLD_POSTS = """
+    const real = fetch;
+    const held = new Promise((resolve) => { window.release = resolve; });
+    window.fetch = async (...request) => {
+        const answer = await real(...request);
+        if (request[1]?.method === "POST") await held;
+        return answer;
+    };
+"""
+SEND_TWICE = """
+    const real = fetch;
+    window.keys = [];
+    window.fetch = (...request) => {
+        if (request[1]?.method !== "POST") return real(...request);
+        keys.push(request[1].headers["Idempotency-Key"]);
+        return keys.length === 1 ? Promise.reject(Error()) : real(...request);
+    };
+"""
 
 
 @pytest.fixture
@@ -198,3 +222,195 @@ def test_the_grouping_of_a_comparison_is_in_its_address(
     browser.driver.refresh()
     browser.shows("Line: mean.")
     assert browser.find("select[aria-label='Group by']").get_attribute("value") == "robot"
+
+
+def change(stack: Stack, job: str, **values: Any) -> None:
+    """Set columns of a job as a worker does."""
+    with stack.sessions.begin() as session:
+        row = session.get_one(Job, job)
+        for name, value in values.items():
+            setattr(row, name, value)
+        row.updated_at = func.now()
+        notify(session, job)
+
+
+@pytest.mark.parametrize("place", ["list", "page"])
+def test_an_answer_that_comes_late_does_not_replace_a_newer_state(
+    browser: Browser, stack: Stack, token: str, job: str, place: str
+) -> None:
+    lease = {"lease_owner": "worker", "attempt": 1, "started_at": func.now(), "lease_expires_at": func.now()}
+    change(stack, job, state="running", **{**lease, "lease_expires_at": datetime(2100, 1, 1, tzinfo=UTC)})
+    browser.sign_in(token)
+    browser.open("/" if place == "list" else f"/jobs/{job}")
+    browser.shows("Live", ".top")
+    shown = f"tr[data-job='{job}'] [data-state]" if place == "list" else ".page-head [data-state]"
+
+    def state() -> str | None:
+        return browser.find(shown).get_attribute("data-state")
+
+    browser.until(lambda: state() == "running", 20)
+    browser.js(HOLD_POSTS)
+    browser.find("[data-action=pause]").click()
+    browser.until(lambda: state() == "pausing", 20)
+    change(stack, job, state="paused", lease_owner=None, lease_expires_at=None)
+    browser.until(lambda: state() == "paused", 20)
+    browser.module(
+        "release(); await new Promise((done) => setTimeout(done)); await new Promise(requestAnimationFrame);"
+    )
+    assert state() == "paused"
+
+
+def test_a_page_that_was_opened_in_an_outage_opens_when_the_service_is_back(
+    browser: Browser, stack: Stack, token: str
+) -> None:
+    browser.allowed.append("ERR_")
+    browser.sign_in(token)
+    browser.open("/studies")
+    browser.shows("No studies yet")
+    stack.stop_api()
+    try:
+        browser.js("location.hash = '#/league'")
+        browser.shows("does not answer")
+        browser.find("main button.primary").click()
+        browser.shows("does not answer")
+        assert browser.driver.title.endswith("naosprint"), "the dashboard is gone"
+    finally:
+        stack.start_api()
+    browser.shows("No matches yet", timeout_s=30)
+
+
+def test_evaluations_are_followed_after_an_answer_is_lost(
+    browser: Browser, token: str, client: httpx.Client, job: str
+) -> None:
+    client.post(f"/jobs/{job}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job}/evaluation")
+    browser.shows("Not evaluated yet")
+    browser.js(
+        "const real = fetch; let asked = 0; window.fetch = async (url, ...options) => {"
+        "  if (!String(url).includes('/evaluations')) return real(url, ...options);"
+        "  asked += 1;"
+        "  if (asked === 2) throw Error();"
+        "  const items = [{ id: 'e', state: asked < 3 ? 'running' : 'failed', spec: { episodes: 5 }, files: [] }];"
+        "  return new Response(JSON.stringify({ items, next_cursor: null })); };"
+        "dispatchEvent(new Event('focus'));"
+    )
+    browser.shows("The results appear here", timeout_s=20)
+    browser.shows("This evaluation failed.", timeout_s=20)
+
+
+def test_an_evaluation_that_was_made_is_not_reported_as_failed(browser: Browser, token: str) -> None:
+    browser.sign_in(token)
+    made = browser.module(
+        "const { requestEvaluation } = await import('/ui/js/evaluation.js');"
+        "const store = { path: 'jobs/none', read: () => Promise.reject(Error()) };"
+        'const real = fetch; window.fetch = async () => new Response(\'{"id": "made"}\');'
+        "const made = await requestEvaluation(store, document.createElement('button'), {}, 'done');"
+        "window.fetch = real; return made?.id;"
+    )
+    assert made == "made", "the list of evaluations could not be read, and a second one would be requested"
+
+
+def test_the_focus_stays_near_a_button_that_is_gone(browser: Browser, token: str, client: httpx.Client) -> None:
+    for number in range(3):
+        client.post("/jobs", json={"name": f"job {number}", **WAITING}).raise_for_status()
+    browser.sign_in(token)
+    browser.until(lambda: len(browser.all("tr[data-job]")) == 3)
+
+    def press(*keys: str) -> None:
+        ActionChains(browser.driver).send_keys(*keys).perform()
+
+    def focused() -> str:
+        return str(browser.js("return document.activeElement.textContent"))
+
+    browser.js("document.querySelector(\"[aria-label='Cancel job 1']\").focus()")
+    press(Keys.ENTER)
+    browser.until(lambda: focused() == "job 1", 20, "the focus is lost in the list")
+    press("j")
+    browser.until(lambda: focused() == "job 0", 20)
+    press(Keys.ENTER)
+    browser.find(".page-head [data-action=pause]")
+    browser.js("document.querySelector('.page-head [data-action=pause]').focus()")
+    press(Keys.ENTER)
+    browser.find(".page-head [data-action=resume]")
+    browser.until(lambda: focused() == "job 0", 20, "the focus is lost on the page")
+    browser.js("const menu = document.querySelector('.menu'); menu.open = true; menu.querySelector('summary').focus()")
+    press(Keys.ESCAPE)
+    assert not browser.js("return document.querySelector('.menu').open")
+
+
+def test_what_is_submitted_again_keeps_its_order_and_the_task_of_its_evaluation(
+    browser: Browser, token: str, client: httpx.Client
+) -> None:
+    body = {
+        "spec": {"robot": "t1", "task": "velocity", "total_steps": 1_000_000},
+        "priority": 8,
+        "max_attempts": 7,
+        "evaluation": {"episodes": 77, "task": {"name": "getup"}},
+        "not_before": "2100-01-01T00:00:00Z",
+    }
+    made = client.post("/jobs", json=body).raise_for_status().json()
+    browser.sign_in(token)
+    browser.open(f"/submit?from={made['id']}")
+    browser.until(lambda: browser.all("pre.code"))
+    sent = json.loads(browser.js("return document.querySelector('pre.code').textContent"))
+    assert (sent["priority"], sent["max_attempts"], sent["evaluation"]) == (8, 7, body["evaluation"])
+
+
+def test_studies_versions_and_evaluations_are_sent_again_with_their_key(
+    browser: Browser, token: str, client: httpx.Client, job: str
+) -> None:
+    browser.sign_in(token)
+    browser.open("/submit?study=1")
+    browser.set("[aria-label='Values of the setting']", "1e-4..1e-3")
+    browser.js(SEND_TWICE)
+    browser.find("form button.primary").click()
+    browser.shows("does not answer")
+    browser.find("form button.primary").click()
+    browser.until(lambda: "/studies/" in browser.driver.current_url)
+    study = browser.driver.current_url.rsplit("/", 1)[1]
+    client.post(f"/studies/{study}/cancel").raise_for_status()
+    keys = browser.js("return keys")
+    assert keys[0], "a study has no key"
+    assert keys[0] == keys[1]
+    assert len(client.get("/studies").json()["items"]) == 1
+    browser.allowed += ["404", "422"]  # neither checkpoint exists
+    browser.driver.refresh()
+    browser.js(SEND_TWICE)
+    browser.module(
+        "const { registerCheckpoint } = await import('/ui/js/views/job-edit.js');"
+        "registerCheckpoint({ id: args[0] }, { id: 'checkpoint_none', step: 1 });"
+        "document.querySelector('#policy-name').value = 'twice';",
+        job,
+    )
+    for count in (1, 2):
+        browser.js("document.querySelector('dialog form').requestSubmit()")
+        browser.until(lambda count=count: browser.js("return keys.length") == count)
+        browser.until(lambda: browser.text("dialog .problem"))
+    version = browser.js("return keys")
+    assert version[0], "a version has no key"
+    assert version[0] == version[1]
+    browser.driver.refresh()
+    browser.js(SEND_TWICE)
+    evaluation = browser.module(
+        "const { requestEvaluation } = await import('/ui/js/evaluation.js');"
+        "const store = { path: `jobs/${args[0]}`, read: async () => {} };"
+        "for (let i = 0; i < 2; i++) await requestEvaluation(store, document.createElement('button'),"
+        " { checkpoint_id: 'ckpt_none' }, 'done');"
+        "return keys;",
+        job,
+    )
+    assert evaluation[0], "an evaluation has no key"
+    assert evaluation[0] == evaluation[1]
+
+
+def test_empty_charts_of_a_training_with_metrics_do_not_say_that_it_had_none(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, job: str
+) -> None:
+    with stack.sessions.begin() as session:
+        session.add(MetricsRecord(job_id=job, attempt=1, step=1000, time_s=1.0, values={"reward": 1.0}))
+    client.post(f"/jobs/{job}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job}")
+    browser.shows("The training has no such values.")
+    assert "before its first update" not in browser.text("main")

@@ -101,9 +101,12 @@ def test_pages_of_studies_and_matches_survive_a_lost_answer(
     for place, words in ((f"/matches/{match}", "0 of 2 games"), (f"/studies/{study}", "0 of 2 trials")):
         browser.open(place)
         browser.shows(words)
+        title = browser.text("h1")
         browser.js(f"{LOSE_ONE_ANSWER} {FOCUS}")
         browser.shows("The service does not answer")
+        assert browser.text("h1") == title, "an error replaces what was read before"
         browser.shows(words, timeout_s=20)
+        browser.until(lambda: "does not answer" not in browser.text("main"), 20, "the error outlasts the outage")
 
 
 def test_tables_and_pages_stay_where_they_were_scrolled_to(browser: Browser, token: str, client: httpx.Client) -> None:

@@ -68,9 +68,42 @@ export function fill(node, ...kids) {
   append(node, kids);
   if ([...places.values()].some(Boolean))
     for (const [label, box] of scrollers(node)) box.scrollLeft = places.get(label) ?? 0;
-  if (key !== null)
-    [...node.querySelectorAll(held.tagName)].find((el) => identity(el) === key)?.focus({ preventScroll: true });
+  if (key === null) return node;
+  const same = [...node.querySelectorAll(held.tagName)].find((el) => identity(el) === key);
+  if (same) same.focus({ preventScroll: true });
+  else focusNear(node);
   return node;
+}
+
+/** Move the focus to the title of the page. */
+export function focusTitle() {
+  const title = document.querySelector("main h1");
+  if (!title) return;
+  title.tabIndex = -1;
+  title.focus({ preventScroll: true });
+}
+
+/** Move the focus from a control that is gone to the link of its row, else to the title of the page. */
+function focusNear(node) {
+  const link = node?.isConnected && node.closest("tr")?.querySelector("a[href]");
+  if (link) link.focus({ preventScroll: true });
+  else focusTitle();
+}
+
+/** Disable a button while `work` is pending; resolves to its result. The focus, which that takes, is given back. */
+export async function busy(button, work) {
+  const held = document.activeElement === button;
+  const { parentElement } = button;
+  button.disabled = true;
+  try {
+    return await work();
+  } finally {
+    button.disabled = false;
+    if (held && document.activeElement === document.body) {
+      if (button.isConnected) button.focus({ preventScroll: true });
+      else focusNear(parentElement);
+    }
+  }
 }
 
 /** Set text only when it differs, so that live updates cause no needless layout. */

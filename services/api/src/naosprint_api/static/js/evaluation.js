@@ -1,7 +1,7 @@
 /** Read an evaluation: its results and its recorded paths. */
 
 import { request, submission } from "./api.js";
-import { toast } from "./dom.js";
+import { busy, toast } from "./dom.js";
 import { readNpz } from "./npz.js";
 
 const send = submission();
@@ -14,17 +14,14 @@ export const FILM = { spec: { episodes: 5, trajectories: 5, bootstrap_resamples:
  * refused.
  */
 export async function requestEvaluation(store, button, body, done) {
-  button.disabled = true;
   try {
-    const made = await send(`${store.path}/evaluations`, body);
+    const made = await busy(button, () => send(`${store.path}/evaluations`, body));
     toast(done);
-    await store.loadEvaluations();
+    store.read("evaluations").catch(() => {}); // it is made, whatever this answer is
     return made;
   } catch (error) {
     toast(error.message, "error");
     return null;
-  } finally {
-    button.disabled = false;
   }
 }
 

@@ -2,8 +2,11 @@
 
 import { call } from "./api.js";
 import { nameOf } from "./descriptions.js";
-import { confirmDialog, toast } from "./dom.js";
+import { busy, confirmDialog, toast } from "./dom.js";
 import { isEnded } from "./states.js";
+
+/** The newer of two states of a job; answers and the stream arrive in any order. */
+export const newer = (held, given) => (held && held.updated_at > given.updated_at ? held : given);
 
 /** Newest metrics row of a job, or an empty one. */
 export const latest = (job) => job.latest_metrics ?? {};
@@ -114,10 +117,10 @@ const DONE = {
 };
 
 /**
- * Request an action of the service, after a confirmation where work would be lost. Resolves to the job's new state, or
- * null if the action was not confirmed or has failed.
+ * Request an action of the service with a button, after a confirmation where work would be lost. Resolves to the job's
+ * new state, or null if the action was not confirmed or has failed.
  */
-export async function act(job, name) {
+export async function act(job, name, button) {
   if (
     QUESTIONS[name] &&
     !(name === "cancel" && job.state === "queued" && !job.progress_step) &&
@@ -126,8 +129,9 @@ export async function act(job, name) {
     return null;
   try {
     const path = `jobs/${encodeURIComponent(job.id)}`;
-    const answer =
-      name === "delete" ? await call(path, { method: "DELETE" }) : await call(`${path}/${name}`, { method: "POST" });
+    const answer = await busy(button, () =>
+      name === "delete" ? call(path, { method: "DELETE" }) : call(`${path}/${name}`, { method: "POST" }),
+    );
     toast(`${job.name} ${DONE[name]}.`);
     return answer ?? job;
   } catch (error) {

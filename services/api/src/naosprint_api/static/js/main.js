@@ -14,7 +14,7 @@ import {
   url,
   useToken,
 } from "./api.js";
-import { confirmDialog, fill, h, icon, isTyping, toast } from "./dom.js";
+import { confirmDialog, fill, focusTitle, h, icon, isTyping, toast } from "./dom.js";
 import { PAGES, pageAt, SHORTCUTS, shortcut } from "./pages.js";
 import { onConnection } from "./stream.js";
 import { setTheme, theme } from "./theme.js";
@@ -22,6 +22,7 @@ import { problem } from "./views/messages.js";
 
 const main = document.getElementById("main");
 const top = document.getElementById("top");
+const REOPEN_MS = 3000;
 let current = null;
 let turn = 0;
 
@@ -111,25 +112,29 @@ async function show() {
     current = { name: found.name, page: found, controller, destroy: view?.destroy, update: view?.update };
   } catch (error) {
     if (error.name === "AbortError" || mine !== turn) return;
-    // A module that failed to load stays failed until the page is reloaded.
-    fill(main, problem(error, error instanceof OfflineError ? () => location.reload() : show));
+    fill(main, problem(error, error instanceof OfflineError ? reopen : show));
+    if (error instanceof OfflineError) {
+      const timer = setInterval(reopen, REOPEN_MS);
+      controller.signal.addEventListener("abort", () => clearInterval(timer));
+    }
   }
+  if (document.activeElement?.closest?.("main")) return;
   focusTitle();
+  scrollTo(0, 0);
 }
+
+/** Load the page again if the service answers: a module that failed to load stays failed until then. */
+const reopen = () =>
+  call("whoami").then(
+    () => location.reload(),
+    () => {},
+  );
 
 function leave() {
   for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close();
   current?.controller?.abort();
   current?.destroy?.();
   current = null;
-}
-
-function focusTitle() {
-  const title = main.querySelector("h1");
-  if (!title || document.activeElement?.closest?.("main")) return;
-  title.tabIndex = -1;
-  title.focus({ preventScroll: true });
-  scrollTo(0, 0);
 }
 
 const THEMES = {
@@ -409,6 +414,11 @@ const RUN = {
 const PREFIX_MS = 1200;
 let prefix = { key: undefined, at: 0 };
 addEventListener("keydown", (event) => {
+  const menu = event.key === "Escape" && document.activeElement?.closest("details.menu[open]");
+  if (menu) {
+    menu.open = false;
+    menu.querySelector("summary").focus();
+  }
   const busy = event.ctrlKey || event.metaKey || event.altKey || isTyping(event);
   if (busy || document.querySelector("dialog[open]") || !token()) return;
   const before = Date.now() - prefix.at < PREFIX_MS ? prefix.key : undefined;

@@ -1,7 +1,7 @@
 /** Parts of modal dialogs with a form. */
 
 import { call } from "../api.js";
-import { confirmDialog, fill, h, icon, toast } from "../dom.js";
+import { busy, confirmDialog, fill, h, icon, toast } from "../dom.js";
 
 /** Show a modal dialog; it is removed when it closes. */
 export function open(title, ...parts) {
@@ -32,13 +32,13 @@ export const complain = (box, error) =>
 export function action(name, label, glyph, path, { method = "POST", question, after }) {
   const press = async () => {
     if (question && !(await confirmDialog({ action: label, danger: true, ...question }))) return;
-    button.disabled = true;
-    const done = await call(path, { method }).then(
-      () => true,
-      (error) => toast(error.message, "error"),
-    );
-    await after(Boolean(done));
-    button.disabled = false;
+    await busy(button, async () => {
+      const done = await call(path, { method }).then(
+        () => true,
+        (error) => toast(error.message, "error"),
+      );
+      await after(Boolean(done));
+    });
   };
   const shade = method === "DELETE" ? "danger" : null;
   const button = h("button", { class: shade, "data-action": name, onclick: press }, icon(glyph), label);

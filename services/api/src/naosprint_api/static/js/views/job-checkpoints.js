@@ -1,23 +1,15 @@
 /** The checkpoints of a job: download, evaluate, register, start another job from one. */
 
 import { download } from "../api.js";
-import { fill, h, heading, icon, scroller, setText, table, toast } from "../dom.js";
+import { busy, fill, h, heading, icon, scroller, setText, table, toast } from "../dom.js";
 import { FILM, requestEvaluation } from "../evaluation.js";
 import { ago, bytes, integer, stamp } from "../format.js";
 import { registerCheckpoint } from "./job-edit.js";
 import { notice } from "./messages.js";
 
 /** Download a file that needs the token; the button is disabled meanwhile. */
-export async function fetchInto(button, path, name) {
-  button.disabled = true;
-  try {
-    await download(path, name);
-  } catch (error) {
-    toast(`${name}: ${error.message}`, "error");
-  } finally {
-    button.disabled = false;
-  }
-}
+export const fetchInto = (button, path, name) =>
+  busy(button, () => download(path, name)).catch((error) => toast(`${name}: ${error.message}`, "error"));
 
 export class CheckpointsTab {
   constructor(root, store) {

@@ -3,7 +3,7 @@
 import { save } from "../api.js";
 import { Chart, smooth } from "../charts.js";
 import { chartOptions, GROUPS, wallClock, X_AXES } from "../curves.js";
-import { fill, h, icon, toast } from "../dom.js";
+import { fill, h, icon, setText, toast } from "../dom.js";
 import { moment } from "../format.js";
 import { isEnded } from "../states.js";
 
@@ -105,9 +105,7 @@ export class CurvesTab {
     this.paintViews("");
     this.show(this.view);
     store.on("metrics", () => this.draw());
-    store.on("job", () => {
-      for (const { chart } of this.charts) if (!store.metrics.length) chart.none.textContent = this.emptyText();
-    });
+    store.on("job", () => this.explain());
   }
 
   /** Make the charts of the task, the algorithm and the columns; a new column may add one. */
@@ -156,9 +154,15 @@ export class CurvesTab {
 
   emptyText() {
     const { state } = this.store.job;
+    if (this.store.metrics.length) return isEnded(state) ? "The training has no such values." : "No values yet.";
     if (state === "queued") return "The job waits in the queue. Metrics appear after the first update.";
     if (isEnded(state)) return "This job ended before its first update.";
     return "Metrics appear after the first update.";
+  }
+
+  /** Say in charts that are empty why they are. */
+  explain() {
+    for (const { chart } of this.charts) setText(chart.none, this.emptyText());
   }
 
   /** Change some settings of what is shown. */
@@ -254,6 +258,7 @@ export class CurvesTab {
   draw() {
     if (this.gone) return;
     this.build();
+    this.explain();
     const m = this.store.metrics;
     const x = AXES[this.view.x].column(m, this.store.events);
     for (const { curve, options, chart } of this.charts) {

@@ -116,7 +116,7 @@ export class Row {
               title: a.label,
               "aria-label": `${a.label} ${job.name}`,
               "data-action": a.name,
-              onclick: () => this.list.act(this.job, a.name),
+              onclick: (event) => this.list.act(this.job, a.name, event.currentTarget),
             },
             icon(a.icon),
           ),

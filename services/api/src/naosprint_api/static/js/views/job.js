@@ -18,7 +18,7 @@ import {
   stamp,
   withUnit,
 } from "../format.js";
-import { act, latest, progress, remaining, shownMetric, summary, worked } from "../jobs.js";
+import { act, latest, newer, progress, remaining, shownMetric, summary, worked } from "../jobs.js";
 import { actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 import { follow } from "../stream.js";
 import { CheckpointsTab } from "./job-checkpoints.js";
@@ -53,6 +53,10 @@ class JobStore extends EventTarget {
     this.logsBefore = false;
     this.checkpoints = null;
     this.evaluations = null;
+    /** Number of the last request of each list, and the timer of the next. */
+    this.turns = {};
+    this.polls = {};
+    signal.addEventListener("abort", () => Object.values(this.polls).forEach(clearTimeout));
   }
 
   notify(topic) {
@@ -110,26 +114,37 @@ class JobStore extends EventTarget {
     this.logsBefore = page.items.length >= TAIL;
   }
 
+  /** Show a state from the stream. */
   setJob(job) {
     this.job = job;
     this.notify("job");
     if (!isEnded(job.state)) this.follow();
   }
 
-  async loadCheckpoints() {
-    this.checkpoints = await every(`${this.path}/checkpoints`, { signal: this.signal });
-    this.notify("checkpoints");
+  /** Show an answer, unless the stream has been faster. */
+  answered(job) {
+    this.setJob(newer(this.job, job));
   }
 
-  async loadEvaluations() {
-    this.evaluations = await every(`${this.path}/evaluations`, { signal: this.signal });
-    this.notify("evaluations");
-    // Evaluations have no stream, so open ones are polled.
-    clearTimeout(this.poll);
-    if (this.evaluations.some((e) => !isEnded(e.state)))
-      this.poll = setTimeout(() => {
-        if (!this.signal.aborted) this.loadEvaluations().catch(() => {});
-      }, POLL_MS);
+  /**
+   * Read a list; no older answer replaces a newer one. What failed is read again, and so are open evaluations, whose
+   * ends no stream reports.
+   */
+  async read(topic) {
+    clearTimeout(this.polls[topic]);
+    this.turns[topic] = (this.turns[topic] ?? 0) + 1;
+    const turn = this.turns[topic];
+    const current = () => turn === this.turns[topic] && !this.signal.aborted;
+    let open = true;
+    try {
+      const items = await every(`${this.path}/${topic}`, { signal: this.signal });
+      if (!current()) return;
+      open = topic === "evaluations" && items.some((e) => !isEnded(e.state));
+      this[topic] = items;
+      this.notify(topic);
+    } finally {
+      if (open && current()) this.polls[topic] = setTimeout(() => this.read(topic).catch(() => {}), POLL_MS);
+    }
   }
 
   /** Follow the job until it ends, starting after the data already loaded; does nothing if it is followed already. */
@@ -157,8 +172,8 @@ class JobStore extends EventTarget {
   /** Read the job again: one that has ended has no stream, though it can be edited, retried and deleted elsewhere. */
   async refresh() {
     try {
-      this.setJob(await this.get(this.path));
-      await this.loadEvaluations();
+      this.answered(await this.get(this.path));
+      await this.read("evaluations");
     } catch (error) {
       if (error.status === 404) this.notify("gone");
     }
@@ -180,10 +195,10 @@ class JobStore extends EventTarget {
       if (this.events.length && data.id <= this.events.at(-1).id) return;
       this.events.push(data);
       this.notify("events");
-      if (data.kind === "checkpoint") this.loadCheckpoints().catch(() => {});
-      if (data.kind.startsWith("evaluat")) this.loadEvaluations().catch(() => {});
+      if (data.kind === "checkpoint") this.read("checkpoints").catch(() => {});
+      if (data.kind.startsWith("evaluat")) this.read("evaluations").catch(() => {});
     } else if (type === "state") this.setJob(data);
-    else if (type === "end") this.loadEvaluations().catch(() => {});
+    else if (type === "end") this.read("evaluations").catch(() => {});
     else if (type === "gone") this.notify("gone");
   }
 }
@@ -213,7 +228,7 @@ class JobView {
     document.title = "Job · naosprint";
     fill(this.root, h("div", { class: "card" }, loading("Loading the job")));
     await this.store.load();
-    await Promise.all([this.store.loadCheckpoints(), this.store.loadEvaluations()]);
+    await Promise.all([this.store.read("checkpoints"), this.store.read("evaluations")]);
     this.build();
     this.store.on("job", () => this.paint());
     this.store.on("metrics", () => this.paint());
@@ -232,7 +247,6 @@ class JobView {
 
   destroy() {
     clearInterval(this.timer);
-    clearTimeout(this.store.poll);
     this.tab?.destroy?.();
   }
 
@@ -292,7 +306,11 @@ class JobView {
       const buttons = actionsFor(job).map((a) =>
         h(
           "button",
-          { class: a.danger ? "danger" : null, "data-action": a.name, onclick: () => this.act(a.name) },
+          {
+            class: a.danger ? "danger" : null,
+            "data-action": a.name,
+            onclick: (event) => this.act(a.name, event.currentTarget),
+          },
           icon(a.icon),
           a.label,
         ),
@@ -301,7 +319,7 @@ class JobView {
         buttons.push(
           h(
             "button",
-            { class: "danger", "data-action": "delete", onclick: () => this.act("delete") },
+            { class: "danger", "data-action": "delete", onclick: (event) => this.act("delete", event.currentTarget) },
             icon("trash"),
             "Delete",
           ),
@@ -480,14 +498,14 @@ class JobView {
 
   async edit() {
     const changed = await editJob(this.store.job);
-    if (changed) this.store.setJob(changed);
+    if (changed) this.store.answered(changed);
   }
 
-  async act(name) {
-    const answer = await act(this.store.job, name);
+  async act(name, button) {
+    const answer = await act(this.store.job, name, button);
     if (!answer) await this.store.refresh();
     else if (name === "delete") this.go("/");
-    else this.store.setJob(answer);
+    else this.store.answered(answer);
   }
 }
 

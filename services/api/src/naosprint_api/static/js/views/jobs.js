@@ -4,7 +4,7 @@ import { call, may, query } from "../api.js";
 import { common, Descriptions, descriptions, nameOf } from "../descriptions.js";
 import { confirmDialog, fill, h, icon, isTyping, setText, toast } from "../dom.js";
 import { integer } from "../format.js";
-import { act, latest, namesOf, progress, remaining, shownMetric, valueIn } from "../jobs.js";
+import { act, latest, namesOf, newer, progress, remaining, shownMetric, valueIn } from "../jobs.js";
 import { read, write } from "../kept.js";
 import { ACTIVE, actionsFor, isEnded } from "../states.js";
 import { follow } from "../stream.js";
@@ -239,8 +239,7 @@ class JobsView {
   }
 
   put(given) {
-    const streamed = this.news.get(given.id);
-    const job = streamed && streamed.updated_at > given.updated_at ? streamed : given;
+    const job = newer(this.news.get(given.id), given);
     this.jobs.set(job.id, job);
     this.rows.get(job.id)?.update(job);
   }
@@ -634,9 +633,14 @@ class JobsView {
     this.paintSoon();
   }
 
-  async act(job, name) {
-    const answer = await act(job, name);
-    if (answer) this.onEvent("job", answer);
+  async act(job, name, button) {
+    const answer = await act(job, name, button);
+    if (answer) this.answered(answer);
+  }
+
+  /** Show the answer to an action, unless the stream has been faster. */
+  answered(job) {
+    this.onEvent("job", newer(this.news.get(job.id), job));
   }
 
   select(id, on) {
@@ -662,7 +666,10 @@ class JobsView {
   paintBar() {
     const n = this.selected.size;
     this.bar.hidden = n === 0;
-    if (!n) return;
+    if (!n) {
+      fill(this.bar);
+      return;
+    }
     const bulk = (name, label) => {
       const count = this.allowing(name).length;
       return h(
@@ -704,7 +711,7 @@ class JobsView {
         if (name === "delete") {
           await call(path, { method: "DELETE" });
           this.drop(job.id);
-        } else this.onEvent("job", await call(`${path}/${name}`, { method: "POST" }));
+        } else this.answered(await call(`${path}/${name}`, { method: "POST" }));
         this.selected.delete(job.id);
       } catch (error) {
         failed.push(`${job.name}: ${error.message}`);

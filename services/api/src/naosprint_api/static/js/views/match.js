@@ -168,13 +168,13 @@ export async function mount(root, { id, sub, signal, go }) {
     game.show(match.live).catch((error) => toast(`The running game cannot be shown: ${error.message}`, "error"));
   }
 
-  async function read(failed) {
+  async function read() {
     match = await call(`matches/${id}`, { signal });
     history.element.hidden = false;
     await history.refresh();
     watch();
     const text = JSON.stringify({ ...match, live: null, watched });
-    if (failed || text !== shown) paint();
+    if (text !== shown) paint();
     shown = text;
     return !isEnded(match.state);
   }

@@ -8,31 +8,34 @@ import { minute } from "../format.js";
  * Keep a page current until `signal` aborts: `read` is called every `every` milliseconds while it resolves to true and
  * the page can be seen, and whenever the window gets the focus. Resolves to a function that reads at once.
  *
- * @param {Element} box where a failure is shown, until a read succeeds
- * @param {(failed: boolean) => Promise<boolean>} read draws the page; `failed` if the last read did
+ * @param {Element} box where a failure of the first read is shown; a later one is shown above it, and its content stays
+ * @param {() => Promise<boolean>} read draws the page
  * @param {number} every
  * @param {AbortSignal} signal
  * @param {() => void} gone called when what was shown does not exist any more
  */
 export async function live(box, read, every, signal, gone) {
+  const trouble = h("div", { class: "trouble" });
+  box.before(trouble);
   let found = false;
-  let failed = false;
   let timer;
   let turn = Promise.resolve();
   const step = async () => {
     let open = true;
     try {
       if (!found || !document.hidden) {
-        open = await read(failed);
+        open = await read();
         found = true;
-        failed = false;
+        fill(trouble);
       }
     } catch (error) {
       if (signal.aborted) return;
-      failed = true;
       open = error.status !== 404;
-      if (open || !found) fill(box, problem(error, again));
-      else gone();
+      if (!found) fill(box, problem(error, again));
+      else if (!open) gone();
+      else if (trouble.dataset.reason !== error.message || !trouble.firstChild)
+        fill(trouble, notice("warn", "This page is not up to date.", `${error.message} It is read again soon.`));
+      trouble.dataset.reason = error.message;
     }
     clearTimeout(timer);
     if (open && !signal.aborted) timer = setTimeout(again, every);

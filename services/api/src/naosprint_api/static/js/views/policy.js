@@ -145,7 +145,17 @@ function versionsTable(cards, current, promote) {
         h("td", { class: "num" }, results.has(name) ? withUnit(results.get(name), results.get(name).value) : "–"),
       ),
       h("td", { class: "num", title: stamp(card.created_at) }, ago(card.created_at)),
-      h("td", null, may("submit") ? h("button", { class: "small", onclick: () => promote(card) }, "Promote") : null),
+      h(
+        "td",
+        null,
+        may("submit")
+          ? h(
+              "button",
+              { class: "small", "aria-label": `Promote ${card.reference}`, onclick: () => promote(card) },
+              "Promote",
+            )
+          : null,
+      ),
     );
   };
   return h(
@@ -198,8 +208,8 @@ export async function mount(root, { id, params, signal }) {
   };
   const section = (title, ...kids) =>
     h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, title)), kids);
+  fill(root, h("div", { class: "card" }, loading("Loading the policy")));
   const draw = async () => {
-    fill(root, h("div", { class: "card" }, loading("Loading the policy")));
     let card;
     let known;
     let versions;
@@ -246,6 +256,7 @@ export async function mount(root, { id, params, signal }) {
       );
       if (evaluation) fill(evaluated, specList(evaluation, form?.evaluation));
     };
+    for (const part of parts.splice(0)) part.destroy();
     const charts = curves(card, known).map(keep);
     fill(
       root,

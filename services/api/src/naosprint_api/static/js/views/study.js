@@ -261,13 +261,13 @@ export async function mount(root, { id, signal, go }) {
     );
   }
 
-  async function read(failed) {
+  async function read() {
     study = await call(`studies/${id}`, { signal });
     const describe = (name) => described(study, known, name);
     const metric = describe(study.spec.pruning.metric ?? "reward");
     const lines = await load(metric.name);
     const text = JSON.stringify([study, lines]);
-    if (failed || text !== shown)
+    if (text !== shown)
       paint(
         lines,
         metric,

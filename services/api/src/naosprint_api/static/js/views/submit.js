@@ -400,7 +400,7 @@ class SubmitView {
   }
 
   /** Fill the form from a job or a recipe. */
-  fillFrom({ spec, evaluation, name, tags }) {
+  fillFrom({ spec, evaluation, ...order }) {
     this.preset = spec.algorithm?.preset ?? [...this.presets.keys()][0];
     for (const radio of this.root.querySelectorAll("input[name=preset]")) radio.checked = radio.value === this.preset;
     for (const section of ["robot", "task", "simulator", "algorithm"])
@@ -412,10 +412,13 @@ class SubmitView {
       f.choose(value ?? f.spec.fallback);
     }
     this.evaluate.checked = evaluation !== null;
+    this.evaluationTask = evaluation?.task;
     this.evaluationFields.disabled = evaluation === null;
-    for (const [key, value] of Object.entries(evaluation ?? {})) this.fields.get(`evaluation.${key}`)?.choose(value);
-    if (name) this.fields.get("name").choose(name);
-    if (tags) this.fields.get("tags").choose(tags);
+    for (const [path, f] of this.fields) {
+      const [root, key] = path.split(".");
+      if (root === "evaluation") f.choose(evaluation?.[key] ?? f.spec.fallback);
+      else if (order[root] !== undefined) f.choose(order[root]);
+    }
     this.changed();
   }
 
@@ -450,6 +453,7 @@ class SubmitView {
       } else if (f.touched && value !== "" && value !== null) out[root] = value;
     }
     if (failed) throw Object.assign(new Error("Some fields are not valid."), { field: failed });
+    if (this.evaluationTask) evaluation.task = this.evaluationTask; // it has no field
     if (spec.stages?.length) delete spec.total_steps; // their sum
     const { job: parent, checkpoint } = this.parent;
     const job = {

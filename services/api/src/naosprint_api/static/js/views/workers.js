@@ -1,7 +1,7 @@
 /** Workers: what they can run and when they were last seen. */
 
 import { call, every, may } from "../api.js";
-import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
+import { busy, fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { ago, bytes, duration, stamp } from "../format.js";
 import { loading, refreshed } from "./messages.js";
 
@@ -34,16 +34,14 @@ const tags = (names) =>
 function drainButton(w) {
   const verb = w.drained_at ? "undrain" : "drain";
   const press = async () => {
-    button.disabled = true;
     try {
       const body = w.drained_at ? undefined : { requeue: true };
-      await call(`workers/${encodeURIComponent(w.id)}/${verb}`, { method: "POST", body });
+      await busy(button, () => call(`workers/${encodeURIComponent(w.id)}/${verb}`, { method: "POST", body }));
       toast(w.drained_at ? `${w.host} claims work again.` : `${w.host} claims no more work; its trainings move on.`);
       w.drained_at = w.drained_at ? null : "now";
-      button.replaceWith(drainButton(w));
+      fill(button.parentElement, drainButton(w));
     } catch (error) {
       toast(error.message, "error");
-      button.disabled = false;
     }
   };
   const title = w.drained_at ? "Let it claim work again" : "Claim no more work, and requeue its trainings";
