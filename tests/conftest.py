@@ -7,6 +7,7 @@ import gc
 import json
 import os
 import signal
+import sys
 from collections.abc import Generator
 from pathlib import Path
 
@@ -25,6 +26,10 @@ if "avx512dq" in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
 # of them is used, but a heap that has grown to more than the machine's memory keeps a process from starting others.
 _M_MMAP_THRESHOLD = -3
 ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1 << 20)
+
+# Without bytecode each process would compile our packages again, and rewrite the assertions of all tests.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 forking.install()
 

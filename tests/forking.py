@@ -56,7 +56,9 @@ PRELOADED = (
     "naosprint.rl.columns",
     "naosprint.rl.runner",
     "naosim.kinds",
+    "naosim.mujoco.kinds",
     "naosim.simspark.embedded",
+    "naosim.simspark.kinds",
     "naosprint.analysis.evaluation",
     "naosprint.analysis.report",
     "naosprint.__main__",
@@ -483,6 +485,12 @@ def _load_programs() -> None:
     quiet_openmp()  # as trainings do before they load PyTorch
     for module in PRELOADED:
         __import__(module)
+    from naospec import plugins
+    from sqlalchemy.orm import configure_mappers
+
+    configure_mappers()
+    for group in (plugins.TASKS, plugins.ROBOTS, plugins.SIMULATORS, plugins.LEARNERS, plugins.ROBOT_DEFAULTS):
+        plugins.names(group)
     for name in os.environ.keys() - given.keys():
         del os.environ[name]
 

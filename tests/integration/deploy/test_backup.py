@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import marshal
 import os
 import re
 import select
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tarfile
 import tempfile
+import threading
 import time
-from collections.abc import Callable
+import uuid
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
@@ -33,6 +39,7 @@ from naojobs.submission import JobRequest
 from naojobs.tokens import Scope, create_token, list_tokens
 from naosprint_worker.sink import JobSink
 
+from tests import forking
 from tests.integration.attempts import claim_work
 from tests.integration.conftest import PG_PROGRAMS, as_role
 
@@ -77,10 +84,73 @@ contains it, with a semicolon for its end.
 """
 
 
+PYTHON = """#!{python} -IS
+import marshal, os, socket, sys
+
+with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as tests:
+    tests.connect({address!r})
+    socket.send_fds(tests, [marshal.dumps((sys.argv[1:], os.getcwd(), dict(os.environ)))], [0, 1, 2])
+    sys.exit(int(tests.recv(8)))
+"""
+"""Has the process of the tests run a program, with the arguments, environment, folder and streams of this one."""
+
+
+def run_for(asking: socket.socket) -> None:
+    """Run the program that `PYTHON` asks for; it is killed with it."""
+    with asking:
+        message, streams, _, _ = socket.recv_fds(asking, 1 << 18, 3)
+        words, folder, environment = marshal.loads(message)
+        try:
+            process = subprocess.Popen(
+                [sys.executable, *words],
+                cwd=folder,
+                env=environment,
+                **dict(zip(("stdin", "stdout", "stderr"), streams, strict=True)),
+            )
+        finally:
+            for number in streams:
+                os.close(number)
+        ended, poll = os.pidfd_open(process.pid), select.poll()
+        poll.register(ended, select.POLLIN)
+        poll.register(asking, select.POLLIN)
+        if asking.fileno() in dict(poll.poll()):
+            process.kill()
+        os.close(ended)
+        with contextlib.suppress(BrokenPipeError):
+            asking.send(b"%d" % (process.wait() % 256))
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with a `python` for scripts, whose programs are forked as those that tests start themselves."""
+    folder, address = tmp_path_factory.mktemp("python"), f"\0naosprint-{uuid.uuid4().hex}"
+    (folder / "python").write_text(PYTHON.format(python=sys.executable, address=address), encoding="utf-8")
+    (folder / "python").chmod(0o755)
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener,
+        ThreadPoolExecutor() as pool,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        patch.setattr(forking, "HEAVY", (*forking.HEAVY, "naojobs"))  # sixty of them are worth a template
+        listener.bind(address)
+        listener.listen()
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):  # it is shut down
+                while True:
+                    pool.submit(run_for, listener.accept()[0])
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield folder
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+
+
 class Place:
     """A database with a store, and the scripts on them."""
 
-    def __init__(self, url: str, folder: Path) -> None:
+    def __init__(self, url: str, folder: Path, python: Path) -> None:
         folder.mkdir()
         self.calls = folder / "calls"
         (folder / "docker").write_text(DOCKER)
@@ -90,7 +160,7 @@ class Place:
         self._environment = {
             **os.environ,
             "PATH": os.pathsep.join(
-                [str(folder), str(PG_PROGRAMS), str(Path(sys.executable).parent), os.environ["PATH"]]
+                [str(folder), str(python), str(PG_PROGRAMS), str(Path(sys.executable).parent), os.environ["PATH"]]
             ),
             "PGHOST": unquote(parse_qs(parts.query)["host"][0]),
             "PGUSER": "postgres",
@@ -138,11 +208,11 @@ class Place:
 
 
 @pytest.fixture
-def make_place(make_database: Callable[..., str], tmp_path: Path) -> Callable[..., Place]:
+def make_place(make_database: Callable[..., str], python: Path, tmp_path: Path) -> Iterator[Callable[..., Place]]:
     places: list[Place] = []
 
     def make(name: str, *, migrated: bool = True) -> Place:
-        places.append(Place(make_database(migrated=migrated), tmp_path / name))
+        places.append(Place(make_database(migrated=migrated), tmp_path / name, python))
         return places[-1]
 
     yield make
@@ -179,6 +249,20 @@ def wait_for_dump(backup: subprocess.Popen[str], dumped: Path) -> None:
             assert backup.poll() is None, backup.communicate()
     finally:
         os.close(reading)
+
+
+def test_a_program_of_a_script_has_its_streams_and_ends_with_it(python: Path) -> None:
+    program = "import sys; sys.stdout.write(sys.stdin.readline()); sys.stdout.flush(); sys.exit(len(sys.stdin.read()))"
+    command = [python / "python", "-c", program]
+    done = subprocess.run(command, input=b"one\nseven", stdout=subprocess.PIPE, check=False)
+    assert (done.returncode, done.stdout) == (5, b"one\n")
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(b"two\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == b"two\n"
+        process.kill()
+        assert process.stdout.read() == b""  # the other end is closed: nothing of it runs
 
 
 def test_checkpoints_that_are_pruned_during_a_backup_are_in_it(

@@ -124,6 +124,11 @@ def test_packages_of_ones_own_are_loaded_before_the_fork(probe: Path) -> None:
     assert str(site) not in without["path"]
 
 
+def test_processes_of_tests_keep_their_bytecode() -> None:
+    assert not sys.dont_write_bytecode
+    assert "PYTHONDONTWRITEBYTECODE" not in os.environ
+
+
 WAYS = {"launch": forking.LAUNCH, "guard": forking.GUARD}
 SERVER = {"PATH": os.environ["PATH"], "LANG": "C.UTF-8", "OMP_NUM_THREADS": "1"}
 """What launchers set for servers."""
