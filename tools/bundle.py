@@ -19,7 +19,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,6 +26,7 @@ from types import MappingProxyType
 from typing import Any
 
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 
 # the same floating-point kernels on every x86-64 machine with AVX2, so that a refresh repeats a card to the last digit
 os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
@@ -75,9 +75,9 @@ def main() -> int:
         help="checkpoint shortly before, kept for `naosprint verify NAME`",
     )
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
-    parser.add_argument("--episodes", type=int, default=EPISODES, help=f"of the evaluation (default: {EPISODES})")
+    parser.add_argument("--episodes", type=integer(), default=EPISODES, help=f"of the evaluation (default: {EPISODES})")
     parser.add_argument("--parts", type=lambda text: text.split(","), default=(), help="parts of the examination")
-    parser.add_argument("--latest", type=int, default=5, help="latest checkpoints to choose from (default: 5)")
+    parser.add_argument("--latest", type=integer(), default=5, help="latest checkpoints to choose from (default: 5)")
     options = parser.parse_args()
     if options.refresh:
         for name in options.names:
@@ -363,4 +363,4 @@ def page(card: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

@@ -10,7 +10,6 @@ directions of the field; the ball is rolled to its stop. A kick through a corrid
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from naospec import EvaluationSpec
 from naospec.json_text import json_text
 from naosprint import evaluate
 from naosprint.analysis.results import by_name
+from naosprint.programs import integer, run_program
 from naosprint.rl.checkpoint import read_manifest
 from naosprint.tasks.kick_results import CORRIDORS_M
 from points import Point, at_least, at_most
@@ -86,13 +86,16 @@ def main() -> int:
     """Check each policy, print the gate, and return 0 if all have passed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policies", nargs="+", metavar="POLICY", help="checkpoint, or name of a bundled policy")
-    parser.add_argument("--episodes", type=int, default=EPISODES, help="episodes of each class (default: 200)")
-    parser.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
+    parser.add_argument("--episodes", type=integer(), default=EPISODES, help="episodes of each class (default: 200)")
+    parser.add_argument("--threads", type=integer(), default=2, help="threads of the simulator (default: 2)")
     parser.add_argument("--json", type=Path, help="write the points here")
     options = parser.parse_args()
     found: dict[str, list[Point]] = {}
     for policy in options.policies:
         checkpoint = naopolicies.resolve(policy)
+        task = read_manifest(checkpoint).stage_spec.task.name
+        if task != "kick":
+            raise ValueError(f"{policy}: a policy of task {task}, not of kick")
         print(f"{policy}, {options.episodes} episodes of each class of starts")
         found[policy] = []
         for name in CLASSES:
@@ -111,4 +114,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

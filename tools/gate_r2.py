@@ -16,7 +16,6 @@ server reports no contacts, so there it is determined by the height of the soles
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from naospec import EvaluationSpec
 from naospec.json_text import json_text
 from naosprint import evaluate
 from naosprint.analysis.results import by_name
+from naosprint.programs import integer, run_program
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.velocity import Velocity
@@ -143,8 +143,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policies", nargs="+", metavar="POLICY", help="checkpoint, or name of a bundled policy")
     parser.add_argument("--simulator", choices=("embedded", "server"), default="embedded", help="where episodes run")
-    parser.add_argument("--episodes", type=int, default=EPISODES, help="episodes of each command (the gate: 200)")
-    parser.add_argument("--n-envs", type=int, default=0, help="episodes in parallel (default: 128; 4 on servers)")
+    parser.add_argument("--episodes", type=integer(), default=EPISODES, help="episodes of each command (the gate: 200)")
+    parser.add_argument("--n-envs", type=integer(0), default=0, help="episodes at a time (default: 128; 4 on servers)")
     parser.add_argument("--gate-only", action="store_true", help="check the gate itself, without further commands")
     parser.add_argument("--json", type=Path, help="write the points here")
     options = parser.parse_args()
@@ -172,4 +172,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

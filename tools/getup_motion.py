@@ -1,6 +1,6 @@
 """Search scripted motions of getting up from front, back and right; write them where the task ``getup`` finds them.
 
-    python tools/getup_motion.py [--robot t1] [--sides front back right] [--minutes 10] [--seed 0]
+    python tools/getup_motion.py [--robot t1] [--sides front back right] [--minutes 10] [--output FOLDER]
 
 A motion is six keyframes and the nominal pose at the end. From front and back all are equal on both sides; from the
 right side the first three move left and right apart. CMA-ES (Hansen and Ostermeier, 2001) draws 48 at a time and runs
@@ -22,8 +22,10 @@ import numpy as np
 from naosim import robots
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.settings import BoosterEmbeddedParameters
+from naosim.robots.booster import FAMILY
 from naosim.simulator import Starts
 from naospec.json_text import json_text
+from naosprint.programs import above_zero, integer, run_program
 from naosprint.tasks.getup import SIDES, STANDING_HEIGHT, STANDING_UP, lying, side_of
 from naosprint.tasks.motions import Motion, motions
 from naosprint.terms import source
@@ -82,6 +84,8 @@ class Search:
 
     def __init__(self, robot: str, side: str, known: Mapping[str, Motion], seed: int, threads: int) -> None:
         self.robot = robots.get(robot)
+        if self.robot.family != FAMILY:
+            raise ValueError(f"--robot: {robot} is no Booster robot")
         self._rng = np.random.default_rng(seed)
         self._simulator = MujocoSimulator(self.robot, POPULATION, BoosterEmbeddedParameters(), threads=threads)
         self._simulator.load_starts(self._starts(side))
@@ -187,7 +191,7 @@ class Search:
         """Search for some time and return the best mean."""
         optimizer, began, generation = self._optimizer, time.monotonic(), 0
         best: tuple[float, Motion | None] = (-np.inf, None)
-        while time.monotonic() - began < seconds:
+        while best[1] is None or time.monotonic() - began < seconds:
             drawn = [optimizer.ask() for _ in range(POPULATION)]
             start = np.full(POPULATION, self._rng.integers(STARTS))
             scores, _ = self.scores([self.motion(numbers) for numbers in drawn], start)
@@ -200,7 +204,6 @@ class Search:
                 print(f"  {generation}: score {scores.mean():.2f}, stands {standing.mean():.0%} of the end", flush=True)
             generation += 1
         self._simulator.close()
-        assert best[1] is not None
         return best[1]
 
 
@@ -209,20 +212,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", default="t1")
     parser.add_argument("--sides", nargs="+", choices=list(SIDES), default=list(SIDES))
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--minutes", type=above_zero, default=10.0)
+    parser.add_argument("--seed", type=integer(0), default=0)
+    parser.add_argument("--threads", type=integer(), default=2)
+    parser.add_argument("--output", type=Path, metavar="FOLDER", default=FOLDER, help="default: the package's")
     options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
     for side in options.sides:
         print(f"{options.robot}, {side}", flush=True)
         robot = robots.get(options.robot)
         search = Search(options.robot, side, motions("getup", robot), options.seed, options.threads)
         motion = search.run(60.0 * options.minutes)
         found = {name: asdict(each) for name, each in motions("getup", robot).items()} | {side: asdict(motion)}
-        file = FOLDER / f"getup-{options.robot}.json"
+        file = options.output / f"getup-{options.robot}.json"
         file.write_text(json_text(found), encoding="utf-8")
-        print(f"wrote {file.name}", flush=True)
+        print(f"wrote {file}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

@@ -12,6 +12,8 @@ import argparse
 import subprocess
 from pathlib import Path, PurePosixPath
 
+from naosprint.programs import run_program
+
 ROOT = Path(__file__).parents[1]
 CODE = {".py", ".pyi", ".cpp", ".hpp", ".js", ".css"}
 OTHER = {".json": "JSON", ".md": "documents"}
@@ -67,4 +69,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

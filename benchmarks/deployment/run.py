@@ -14,7 +14,6 @@ import argparse
 import json
 import os
 import platform
-import subprocess
 import sys
 import tempfile
 import threading
@@ -27,6 +26,7 @@ from typing import Any
 
 import docker
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "e2e" / "compose"))
@@ -246,7 +246,7 @@ def main() -> None:
     """Measure and print; write the record if requested."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--record", type=Path, help="write the results to this file")
-    parser.add_argument("--steps", type=int, default=1_000_000, help="steps of the job that is measured")
+    parser.add_argument("--steps", type=integer(), default=1_000_000, help="steps of the job that is measured")
     parser.add_argument("--no-sidecars", action="store_true", help="omit the job on servers")
     arguments = parser.parse_args()
     if reason := missing_engine():
@@ -281,7 +281,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except subprocess.TimeoutExpired as error:
-        raise SystemExit(f"{error}") from None
+    run_program(main)

@@ -33,6 +33,7 @@ from naosim.robots.booster import K1, T1
 from naosim.simulator import PLAIN, Scene, Starts
 from naospec import EvaluationSpec
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import open_environment
 
@@ -302,8 +303,8 @@ def shaken(name: str, robot: Robot, n: int) -> tuple[dict[str, Any], bool]:
 def main(words: list[str] | None = None) -> int:
     """Compare the motions, print the results, and return 1 if a state is outside."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robots", type=int, default=64)
-    parser.add_argument("--cycles", type=int, default=250)
+    parser.add_argument("--robots", type=integer(), default=64)
+    parser.add_argument("--cycles", type=integer(), default=250)
     parser.add_argument("--motion", action="append", help="compare this one only; can be repeated")
     parser.add_argument("--json", type=Path, help="write the results to this file; those of other motions stay in it")
     options = parser.parse_args(words)
@@ -330,4 +331,4 @@ def main(words: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

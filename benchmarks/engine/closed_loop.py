@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from naospec import EvaluationSpec
 from naospec.json_text import json_text
 from naosprint import evaluate
 from naosprint.analysis.results import by_name, interval_text, value_text
+from naosprint.programs import integer, run_program
 
 
 def evaluated(name: str, engine: str, settings: dict[str, Any]) -> dict[str, Any]:
@@ -40,8 +40,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     everything = [name for name in naopolicies.names() if name.startswith(("t1-", "k1-"))]
     parser.add_argument("names", nargs="*", metavar="POLICY", default=everything)
-    parser.add_argument("--episodes", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--episodes", type=integer(), default=200)
+    parser.add_argument("--seed", type=integer(0), default=5)
     parser.add_argument("--json", type=Path, default=Path(__file__).with_name("closed_loop.json"))
     options = parser.parse_args()
     settings = {"episodes": options.episodes, "seed": options.seed, "n_envs": 64}
@@ -70,4 +70,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

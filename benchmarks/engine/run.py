@@ -20,6 +20,7 @@ from naosim.simspark import BatchSimulator
 from naosim.simspark.batch import engine_table
 from naosim.simspark.motion import stepping_speeds
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 
 HERE = Path(__file__).parent
 WARM_UP = 100
@@ -98,8 +99,8 @@ def measure(cycles: int, batch: int, robot_type: int) -> dict[str, Any]:
 def main() -> None:
     """Print one result a robot type; with the machine's name and load."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cycles", type=int, default=2000)
-    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--cycles", type=integer(WARM_UP + 1), default=2000)
+    parser.add_argument("--batch", type=integer(), default=64)
     parser.add_argument("--write", action="store_true", help="write results.json")
     arguments = parser.parse_args()
     result = {
@@ -115,4 +116,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

@@ -29,6 +29,7 @@ from naosim.robots.booster import ROBOTS, T1
 from naosim.robots.description import Robot
 from naosim.simulator import Starts
 from naospec.json_text import json_text
+from naosprint.programs import run_program
 from naosprint.tasks.robot_defaults import robot_defaults
 
 ROBOTS_AT_ONCE = 64
@@ -157,4 +158,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 from naosprint.threads import quiet_openmp
 
 quiet_openmp()
@@ -218,9 +218,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", choices=STUDIES)
     parser.add_argument("workdir", type=Path, help="directory for trainings; may be deleted afterwards")
-    parser.add_argument("--steps", type=int, help="of each training (default: the study's)")
-    parser.add_argument("--episodes", type=int, default=50, help="under each condition (default: %(default)s)")
-    parser.add_argument("--jobs", type=int, default=2, help="trainings at a time, a core each (default: %(default)s)")
+    parser.add_argument("--steps", type=integer(), help="of each training (default: the study's)")
+    parser.add_argument("--episodes", type=integer(), default=50, help="under each condition (default: %(default)s)")
+    parser.add_argument(
+        "--jobs", type=integer(), default=2, help="trainings at a time, a core each (default: %(default)s)"
+    )
     parser.add_argument("--only", choices=["plot"], help="draw again what the study's record contains")
     options = parser.parse_args()
     study, record = STUDIES[options.study], HERE / f"{options.study}.json"
@@ -243,4 +245,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 from run import machine
 
 HERE = Path(__file__).parent
@@ -47,7 +48,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("other", type=Path, help="the other checkout")
     parser.add_argument("workdir", type=Path)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=integer(), default=3)
+    parser.add_argument("--json", type=Path, default=HERE / "comparison.json", help="file for the results")
     options = parser.parse_args()
     rounds: list[dict[str, Any]] = []
     for number in range(options.rounds):
@@ -58,9 +60,9 @@ def main() -> None:
         print(f"round {number + 1}: {ratios}")
     means = {name: round(float(np.mean([found["ratio"][name] for found in rounds])), 3) for name in NAMES}
     content = {"other": commit(options.other), "this": commit(THIS), "ratio": means, "rounds": rounds}
-    (HERE / "comparison.json").write_text(json_text({**machine(), **content}), encoding="utf-8")
+    options.json.write_text(json_text({**machine(), **content}), encoding="utf-8")
     print(f"mean: {means}")
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

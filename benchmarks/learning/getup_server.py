@@ -21,6 +21,7 @@ import numpy as np
 from naosim.mujoco.program import server_launcher
 from naosprint.analysis.results import interval_text, value_text
 from naosprint.export import export_policy
+from naosprint.programs import integer, run_program
 from naosprint.tasks.episodes import Statistics
 from naosprint.tasks.getup import LIMIT_S, STANDING_RATE, SUCCESS_RATE, TIME
 from player import running
@@ -71,8 +72,8 @@ def main() -> None:
     """Print how often and how fast the robot stands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", nargs="?", default="t1-getup", help="checkpoint, or name of a bundled policy")
-    parser.add_argument("--falls", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--falls", type=integer(), default=100)
+    parser.add_argument("--seed", type=integer(0), default=0)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch, running(server_launcher()) as address:
         path = export_policy(naopolicies.resolve(options.policy), Path(scratch), ["numpy"])[0]
@@ -88,4 +89,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

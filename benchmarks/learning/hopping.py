@@ -13,6 +13,8 @@ from pathlib import Path
 
 import naopolicies
 import numpy as np
+from naosim.robots.booster import FAMILY
+from naosprint.programs import run_program
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.penalties import hopping
@@ -25,18 +27,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policies", nargs="+", metavar="POLICY", help="bundled policy, or folder of a checkpoint")
     for name in parser.parse_args().policies:
-        folder = naopolicies.folder(name) if name in naopolicies.names() else Path(name)
-        print(f"{name}: {how_alike(folder):.3f}")
+        print(f"{name}: {how_alike(naopolicies.resolve(name)):.3f}")
 
 
 def how_alike(checkpoint: Path) -> float:
     """Return the mean of the hop penalty's value, 0 to 1."""
     policy, manifest = load_policy(checkpoint)
     spec = manifest.stage_spec
+    if spec.family != FAMILY:
+        raise ValueError(f"{checkpoint.name}: the robot is a {spec.robot.name}, no Booster robot")
     environment = open_environment(spec, ROBOTS, threads=1, seed=SEED)
     try:
-        environment.load_starts(environment.task.starts(ROBOTS, SEED, spec.task.start_noise_deg))
-        environment.restart(np.arange(ROBOTS), np.arange(ROBOTS))
+        starts = environment.task.starts(ROBOTS, SEED, spec.task.start_noise_deg)
+        environment.load_starts(starts)
+        environment.restart(np.arange(ROBOTS), np.arange(ROBOTS) % len(starts))
         term = hopping(environment.world, 1.0)
         found = []
         for step in range(1, LAST_STEP + 1):
@@ -49,4 +53,4 @@ def how_alike(checkpoint: Path) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

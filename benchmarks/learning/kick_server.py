@@ -22,6 +22,7 @@ import numpy as np
 from naosim import kinds, robots
 from naosim.simulator import RuntimeOptions, Scene, Simulator, Starts
 from naosprint.export import export_policy
+from naosprint.programs import integer, run_program
 from naosprint.rl.checkpoint import read_manifest
 from naosprint.tasks.ball import UPRIGHT
 from naosprint.tasks.kick_results import CORRIDOR_HALF_M, CORRIDORS_M, UPRIGHT_S
@@ -140,12 +141,14 @@ def main() -> int:
     """Read the options, kick, and print a line a kick and one for all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", help="checkpoint directory, or the name of a bundled policy")
-    parser.add_argument("--kicks", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kicks", type=integer(), default=30)
+    parser.add_argument("--seed", type=integer(0), default=0)
     parser.add_argument("--wide", action="store_true", help="starts that are not aligned")
     parser.add_argument("--simulator", choices=("server", "embedded"), default="server")
     options = parser.parse_args()
     spec = read_manifest(naopolicies.resolve(options.policy)).stage_spec
+    if not isinstance(spec.task, KickSettings):
+        raise ValueError(f"{options.policy}: a policy of task {spec.task.name}, not of kick")
     robot = robots.configured(spec.robot)
     rng = np.random.default_rng(options.seed)
     kind = kinds.get(options.simulator)
@@ -154,7 +157,7 @@ def main() -> int:
     results = []
     try:
         with tempfile.TemporaryDirectory() as folder:
-            walker = runner_of(str(KickSettings.of(spec.task).walker), Path(folder) / "walker")
+            walker = runner_of(str(spec.task.walker), Path(folder) / "walker")
             kick = runner_of(options.policy, Path(folder) / "kick")
         n = options.kicks
         places = np.column_stack([np.full(n, -6.0), rng.uniform(-4.0, 4.0, n)])
@@ -169,12 +172,13 @@ def main() -> int:
             sys.stdout.flush()
     finally:
         simulator.close()
-    hit = [each for each in results if each["touched"]]
+    hit, rolled = [each for each in results if each["touched"]], ""
+    if hit:
+        metres, degrees = (np.array([each[name] for each in hit]) for name in ("m", "deg"))
+        rolled = f"distance {metres.mean():.1f} m, direction error median {np.median(degrees):.1f} degrees, "
     sys.stdout.write(
         f"{options.simulator}: touched {len(hit)} of {len(results)}, "
-        f"upright {sum(each['upright'] for each in results)}, "
-        f"distance {np.mean([each['m'] for each in hit]):.1f} m, direction error median "
-        f"{np.median([each['deg'] for each in hit]):.1f} degrees, corridors of "
+        f"upright {sum(each['upright'] for each in results)}, {rolled}corridors of "
         + ", ".join(f"{length:g} m {sum(each[str(length)] for each in results)}" for length in CORRIDORS_M)
         + "\n"
     )
@@ -182,4 +186,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

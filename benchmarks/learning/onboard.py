@@ -32,6 +32,7 @@ from naosim.simspark.control import motor_speeds
 from naosim.simspark.program import PROGRAM_VARIABLE, RCSSSERVER3D, SERVER_SCRIPT
 from naosim.simulator import STEP_S, NativeHandle, Simulator, Truth
 from naosprint import tasks
+from naosprint.programs import integer, run_program
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.sprint import FINISH_X_M, MIN_SAMPLES, START_LINES_M, START_X_M, deviation_deg, speeds_beyond
@@ -236,14 +237,17 @@ def main() -> None:
     """Print the statistics."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--policy", default="sprint-blind", help="bundled policy, or a checkpoint's folder")
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--episodes", type=integer(), default=100)
+    parser.add_argument("--seed", type=integer(0), default=0)
     options = parser.parse_args()
-    checkpoint = Path(options.policy)
-    checkpoint = checkpoint if checkpoint.is_dir() else naopolicies.folder(options.policy)
-    paths = play(checkpoint, options.episodes, options.seed, os.environ.get(PROGRAM_VARIABLE) or RCSSSERVER3D.name)
+    paths = play(
+        naopolicies.resolve(options.policy),
+        options.episodes,
+        options.seed,
+        os.environ.get(PROGRAM_VARIABLE) or RCSSSERVER3D.name,
+    )
     print(json.dumps(summary(paths), indent=2))
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

@@ -32,6 +32,7 @@ from naospec import TrainingSpec, read_stored
 from naosprint.analysis.film import write_gif, write_mp4
 from naosprint.analysis.replay import Replay
 from naosprint.export import export_policy
+from naosprint.programs import integer, run_program
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -68,13 +69,15 @@ def main() -> int:
     parser.add_argument("--policy", default="t1-run", help="bundled policy of task velocity")
     parser.add_argument("--getup", default="t1-getup", help="bundled policy of task getup")
     parser.add_argument("--tumble", action="store_true", help="throw the robot over before each target")
-    parser.add_argument("--targets", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--targets", type=integer(), default=10)
+    parser.add_argument("--seed", type=integer(0), default=0)
     parser.add_argument("--film", type=Path, metavar="FOLDER", help="write player.mp4 and player.gif there")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         record, names = Path(scratch) / "cycles.npz", (options.policy, options.getup)
-        paths = [export_policy(naopolicies.folder(name), Path(scratch) / name, ["numpy"])[0] for name in names]
+        paths = [
+            export_policy(naopolicies.resolve(name), Path(scratch) / Path(name).name, ["numpy"])[0] for name in names
+        ]
         with running(ProcessLauncher(REALTIME, (sys.executable, "-m", "rcsssmj"))) as address:
             play = [sys.executable, str(AGENT), str(paths[0]), "--getup", str(paths[1])]
             play += ["--tumble"] if options.tumble else []
@@ -106,4 +109,4 @@ def replay_of(cycles: np.lib.npyio.NpzFile, spec: TrainingSpec) -> Replay:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main)

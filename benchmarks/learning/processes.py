@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 from run import machine
 
 HERE = Path(__file__).parent
@@ -81,8 +82,9 @@ def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("workdir", type=Path)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=integer(), default=3)
     parser.add_argument("--robot", default="nao-0")
+    parser.add_argument("--json", type=Path, default=HERE / "processes.json", help="file for the results")
     options = parser.parse_args()
     rounds: list[dict[str, Any]] = []
     for number in range(options.rounds):
@@ -103,9 +105,9 @@ def main() -> None:
             average_s = 2 * (size - 1) * (message_s + 4 * count / size * byte_s)
             model[name][str(size)] = round(8192 / (8192 / one / size + averages * average_s))
     content = {"robot": options.robot, "rounds": rounds, "average_s": {"1": small, str(count): whole}, "model": model}
-    (HERE / "processes.json").write_text(json_text({**machine(), **content}), encoding="utf-8")
+    options.json.write_text(json_text({**machine(), **content}), encoding="utf-8")
     print(json.dumps(content["model"], indent=2))
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from naospec.json_text import json_text
+from naosprint.programs import run_program
 from naosprint.threads import quiet_openmp, set_learner_threads
 
 quiet_openmp()
@@ -533,4 +534,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

@@ -22,6 +22,7 @@ from typing import Any
 
 import httpx
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "service"))
 
@@ -54,9 +55,9 @@ def grid() -> dict[str, list[float]]:
 def main() -> int:
     """Run all repeats."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=700_000)
-    parser.add_argument("--episodes", type=int, default=200)
+    parser.add_argument("--repeats", type=integer(), default=3)
+    parser.add_argument("--steps", type=integer(), default=700_000)
+    parser.add_argument("--episodes", type=integer(), default=200)
     parser.add_argument("--record", type=Path, help="file for the results, as JSON")
     options = parser.parse_args()
     trials = math.prod(PARTS.values())
@@ -147,4 +148,4 @@ def summary(values: list[float]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main)

@@ -29,6 +29,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from naosprint.programs import above_zero, run_program
 from naosprint.threads import quiet_openmp
 
 quiet_openmp()
@@ -45,7 +46,7 @@ from naosprint.rl.policy import load_policy  # noqa: E402
 from naosprint.rl.rollout import TrainingEnvironment  # noqa: E402
 from naosprint.tasks.environment import open_training_environment  # noqa: E402
 
-HERE = Path(__file__).parent
+HERE, RECORD = Path(__file__).parent, Path(__file__).with_suffix(".json")
 
 POLICIES = {"t1-sprint": "sprint1", "t1-run": "velocity", "k1-sprint": "sprint1"}
 """Policies, and the tasks in which they run."""
@@ -206,9 +207,9 @@ def show(name: str, value: float, bound: float | None = None) -> None:
 def main() -> int:
     """Measure, print and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of each measurement")
+    parser.add_argument("--seconds", type=above_zero, default=20.0, help="length of each measurement")
     parser.add_argument("--only", nargs="+", choices=("engine", "loop", "mj_step"), default=None)
-    parser.add_argument("--json", type=Path, default=HERE / "throughput.json")
+    parser.add_argument("--json", type=Path, default=RECORD)
     options = parser.parse_args()
     chosen = options.only or ("mj_step", "engine", "loop")
     kept = json.loads(options.json.read_bytes()) if options.json.exists() else {}
@@ -219,7 +220,8 @@ def main() -> int:
         options.json.write_text(json_text(results), encoding="utf-8")
 
     if "mj_step" in chosen:
-        subprocess.run([sys.executable, str(HERE.parent / "engine/run_mujoco.py")], check=True)
+        own = [] if options.json == RECORD else ["--json", str(options.json.with_suffix(".mj_step.json"))]
+        subprocess.run([sys.executable, str(HERE.parent / "engine/run_mujoco.py"), *own], check=True)
     if "engine" in chosen:
         results["engine"] = {}
         for policy in POLICIES:
@@ -245,4 +247,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 from naosprint.threads import quiet_openmp, set_learner_threads
 
 quiet_openmp()
@@ -103,7 +104,8 @@ def products(layers: Sequence[torch.nn.Linear], rows: int) -> list[Callable[[], 
 def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=integer(), default=3)
+    parser.add_argument("--json", type=Path, default=RECORD, help="file for the results")
     options = parser.parse_args()
     compiled = opened(spec_of(**SETTINGS))
     plain = opened(spec_of(**SETTINGS, compiled_update=False))
@@ -135,9 +137,9 @@ def main() -> None:
         name: round(float(np.mean([found["kernel"] / found[name] for found in rounds])), 2)
         for name in ("products", "torch")
     }
-    RECORD.write_text(json_text({**machine(), "kernel_over": ratios, "rounds": rounds}), encoding="utf-8")
+    options.json.write_text(json_text({**machine(), "kernel_over": ratios, "rounds": rounds}), encoding="utf-8")
     print(f"kernel over: {ratios}")
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

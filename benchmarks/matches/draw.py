@@ -25,6 +25,7 @@ from naosim import robots
 from naosim.fields import RCSSSERVERMJ as FIELD
 from naosprint.matches.log import GameLog
 from naosprint.matches.results import FRAME_S
+from naosprint.programs import above_zero, integer, run_program
 
 ROOT = Path(__file__).parents[2]
 STATIC = Path(naosprint_api.__file__).parent / "static"
@@ -118,10 +119,10 @@ def main() -> int:
     from conftest import start_chromium
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robots", type=int, nargs="+", default=[2, 6, 14], help="robots on the field")
+    parser.add_argument("--robots", type=integer(), nargs="+", default=[2, 6, 14], help="robots on the field")
     parser.add_argument("--log", type=Path, help="log of a game to draw instead")
-    parser.add_argument("--seconds", type=float, default=5.0, help="seconds to draw")
-    parser.add_argument("--size", type=int, nargs=2, default=[1440, 900], help="size of the window, pixels")
+    parser.add_argument("--seconds", type=above_zero, default=5.0, help="seconds to draw")
+    parser.add_argument("--size", type=integer(), nargs=2, default=[1440, 900], help="size of the window, pixels")
     parser.add_argument("--views", nargs="+", default=["ball", "above"], help="cameras: ball, above, field")
     parser.add_argument("--pictures", type=Path, help="folder for a picture of each")
     options = parser.parse_args()
@@ -171,4 +172,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

@@ -13,7 +13,6 @@ player uses its own perceptions only. Prints a line for each shot, then the shar
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from drill import BALL_M, PLAY_ON, Drill
 from naosprint.matches.teams import Team, find_team
+from naosprint.programs import integer, run_program
 from naosprint.tasks import rolling
 from naosprint.tasks.block import CALM_S, BlockSettings, draw_shot
 from naosprint.tasks.statistics import wilson
@@ -106,8 +106,8 @@ class Keeping(Drill):
 def main() -> int:
     """Read the options, play, and print what happened."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--shots", type=int, default=100, help="number of shots")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the shots")
+    parser.add_argument("--shots", type=integer(), default=100, help="number of shots")
+    parser.add_argument("--seed", type=integer(0), default=0, help="seed of the shots")
     parser.add_argument("--team", default="example", help="a team's folder, or example with or without skills")
     parser.add_argument("--empty", action="store_true", help="without a keeper, as a control")
     options = parser.parse_args()
@@ -138,4 +138,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

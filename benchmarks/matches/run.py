@@ -20,6 +20,7 @@ from pathlib import Path
 import psutil
 from naosprint.matches.game import GameSettings, Moment, play_game
 from naosprint.matches.teams import find_team
+from naosprint.programs import above_zero, integer, run_program
 
 CYCLES_S = 50.0
 
@@ -63,8 +64,8 @@ class Sample:
 def main() -> int:
     """Read the options, play, and print a line for each number of players."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--players", type=int, nargs="+", default=[1, 3, 7], help="players of each team")
-    parser.add_argument("--seconds", type=float, default=20.0, help="play time of a half")
+    parser.add_argument("--players", type=integer(), nargs="+", default=[1, 3, 7], help="players of each team")
+    parser.add_argument("--seconds", type=above_zero, default=20.0, help="play time of a half")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         team = find_team("example", Path(scratch))
@@ -100,4 +101,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

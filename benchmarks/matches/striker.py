@@ -11,7 +11,6 @@ time. Prints a line for each start, then the share of goals with its 95 % interv
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from drill import BALL_M, Drill
 from naosprint.matches.teams import Team, find_team
+from naosprint.programs import integer, run_program
 from naosprint.tasks.statistics import wilson
 from numpy.typing import NDArray
 
@@ -92,8 +92,8 @@ class Shooting(Drill):
 def main() -> int:
     """Read the options, play, and print what happened."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--starts", type=int, default=50, help="number of starts")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the starts")
+    parser.add_argument("--starts", type=integer(), default=50, help="number of starts")
+    parser.add_argument("--seed", type=integer(0), default=0, help="seed of the starts")
     parser.add_argument("--team", default="example", help="a team's folder, or example with or without skills")
     options = parser.parse_args()
     random = np.random.default_rng(options.seed)
@@ -126,4 +126,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

@@ -22,6 +22,7 @@ import numpy as np
 from naosim.launchers import Address, ProcessLauncher
 from naosim.robots import nao_model
 from naosim.simspark import RCSSSERVER3D, RemoteBatch, embedded_launcher, protocol
+from naosprint.programs import integer, run_program
 
 MODEL = nao_model.model(0)
 
@@ -143,9 +144,9 @@ def wait(server: Address) -> None:
 def main() -> None:
     """Print a table, or JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--servers", type=int, default=2)
-    parser.add_argument("--cycles", type=int, default=2000)
-    parser.add_argument("--rounds", type=int, default=3, help="the median round counts")
+    parser.add_argument("--servers", type=integer(), default=2)
+    parser.add_argument("--cycles", type=integer(), default=2000)
+    parser.add_argument("--rounds", type=integer(), default=3, help="the median round counts")
     parser.add_argument("--program", help="default: naosim serve")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
@@ -180,4 +181,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

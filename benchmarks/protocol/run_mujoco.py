@@ -25,6 +25,7 @@ from naosim.mujoco.client import MujocoFleet
 from naosim.mujoco.program import server_launcher
 from naosim.robots import Robot
 from naospec.json_text import json_text
+from naosprint.programs import integer, run_program
 
 CYCLES = 250
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -95,9 +96,9 @@ def commands(robot: Robot, targets: np.ndarray) -> bytes:
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--servers", type=int, default=1)
+    parser.add_argument("--servers", type=integer(), default=1)
     parser.add_argument("--robot", choices=("t1", "k1"), default="t1")
-    parser.add_argument("--rounds", type=int, default=12)
+    parser.add_argument("--rounds", type=integer(), default=12)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     robot, n = robots.get(arguments.robot), arguments.servers
@@ -147,4 +148,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

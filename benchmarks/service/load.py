@@ -31,6 +31,7 @@ from naojobs.leases import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
 from naospec.json_text import json_text
+from naosprint.programs import above_zero, integer, run_program
 from sqlalchemy.orm import Session, sessionmaker
 from stack import quantiles_ms, service_without_workers
 
@@ -99,10 +100,10 @@ def write_metrics(sessions: sessionmaker[Session], lease: Lease, stop: threading
 def main() -> int:
     """Run the load and report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--jobs", type=int, default=1000)
-    parser.add_argument("--followers", type=int, default=50)
-    parser.add_argument("--clients", type=int, default=4)
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--jobs", type=integer(), default=1000)
+    parser.add_argument("--followers", type=integer(), default=50)
+    parser.add_argument("--clients", type=integer(), default=4)
+    parser.add_argument("--seconds", type=above_zero, default=20.0)
     parser.add_argument("--record", type=Path, help="file for the results, as JSON")
     options = parser.parse_args()
 
@@ -177,4 +178,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main)

@@ -44,6 +44,7 @@ from naojobs.models import Checkpoint, Evaluation, Event, Job, LeaseClock, Log, 
 from naojobs.states import ENDED, WorkState
 from naojobs.store import StoreError, StoreManifest
 from naospec.flat import nest
+from naosprint.programs import above_zero, integer, run_program
 from sqlalchemy import DateTime, func, select, update
 from stack import SPOILED, Stack, wait_until_ready
 
@@ -461,14 +462,14 @@ def say(text: str) -> None:
 def main() -> int:
     """Run and report."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--faults", type=int, default=30)
-    parser.add_argument("--seed", type=int, help="left out: the one after those in the record")
+    parser.add_argument("--faults", type=integer(), default=30)
+    parser.add_argument("--seed", type=integer(0), help="left out: the one after those in the record")
     parser.add_argument("--world", action="store_true", help="faults of the world around the service")
-    parser.add_argument("--longest", type=float, help="seconds that a fault lasts at most: 8; in the world 60")
-    parser.add_argument("--updates", type=int, default=300, help="updates of each training")
+    parser.add_argument("--longest", type=above_zero, help="seconds that a fault lasts at most: 8; in the world 60")
+    parser.add_argument("--updates", type=integer(), default=300, help="updates of each training")
     parser.add_argument(
         "--patience",
-        type=float,
+        type=above_zero,
         help=f"seconds after the last fault for jobs to end; left out: {PATIENCE:g} times those that two jobs take "
         f"undisturbed, at least {LEAST_PATIENCE_S:g}",
     )
@@ -552,4 +553,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main)

@@ -452,7 +452,9 @@ def wait_until_ready(url: str, seconds: float = 30.0) -> None:
 
 
 def quantiles_ms(seconds: Sequence[float]) -> dict[str, float]:
-    """Return count and quantiles in milliseconds."""
+    """Return count and quantiles in milliseconds. Raises ValueError."""
+    if len(seconds) < 2:
+        raise ValueError(f"too short to measure: {len(seconds)} calls of a kind; run for more --seconds")
     quantiles = statistics.quantiles(seconds, n=100, method="inclusive")
     return {
         "count": len(seconds),

@@ -20,6 +20,7 @@ from collections.abc import Generator, Mapping
 from pathlib import Path
 
 import pytest
+from naosprint.programs import run_program
 
 ROOTS = Path("/sys/fs/cgroup/cpuacct"), Path("/sys/fs/cgroup")
 SHOWN = 30
@@ -100,4 +101,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_program(main)

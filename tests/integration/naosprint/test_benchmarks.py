@@ -40,6 +40,34 @@ def test_a_program_measures(command: str, prints: str, tmp_path: Path) -> None:
     assert "Traceback" not in run.stderr
 
 
+@pytest.mark.parametrize(
+    ("command", "prints"),
+    [
+        ("benchmarks/engine/run.py --cycles 100", "--cycles: '100': expected a number of 101 to 1,000,000,000"),
+        ("benchmarks/learning/hopping.py sprint", "error: sprint: the robot is a nao-0, no Booster robot"),
+        ("benchmarks/learning/hopping.py none", "error: 'none' is neither a checkpoint directory nor"),
+        ("benchmarks/learning/kick_server.py t1-sprint", "error: t1-sprint: a policy of task sprint1, not of kick"),
+        ("benchmarks/service/workers.py --seconds 0", "--seconds: '0': expected more than 0"),
+        ("tools/getup_motion.py --minutes nan", "--minutes: 'nan': expected more than 0"),
+        ("tools/getup_motion.py --robot nao-0 --output .", "error: --robot: nao-0 is no Booster robot"),
+        ("tools/gate_kick.py t1-sprint", "error: t1-sprint: a policy of task sprint1, not of kick"),
+        ("tools/rooms.py none", "error: Command "),
+    ],
+)
+def test_a_program_says_in_a_line_what_it_cannot_do(command: str, prints: str, tmp_path: Path) -> None:
+    program, *words = command.split()
+    run = subprocess.run([sys.executable, str(ROOT / program), *words], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode in (1, 2)
+    assert prints in run.stderr.splitlines()[-1], run.stderr
+    assert "Traceback" not in run.stderr
+
+
+def test_a_motion_is_written_to_the_folder_that_is_given(tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "tools/getup_motion.py"), "--sides", "front", "--minutes", "0.0001"]
+    run = subprocess.run([*command, "--output", str(tmp_path / "motions")], capture_output=True, text=True)
+    assert f"wrote {tmp_path}/motions/getup-t1.json" in run.stdout, run.stderr
+
+
 def test_a_service_ends_with_the_program_that_is_terminated() -> None:
     service = "with stack.service_without_workers() as service: print(service.api.pid, flush=True); signal.pause()"
     command = [sys.executable, "-c", f"import signal, stack\n{service}"]

@@ -156,9 +156,10 @@ def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.Cap
     ("arguments", "words"),
     [
         (["evaluate", "sprint", "--threads", "0"], "--threads: '0': expected a number of 1 to 256"),
+        (["handover", "--seed", "-1"], "--seed: '-1': expected a number of 0 to"),
         (["handover", "--threads", "-1"], "--threads: '-1': expected a number of 1 to 256"),
-        (["replay", "sprint", "x", "--film-seconds", "0"], "--film-seconds: '0': expected seconds, more than 0"),
-        (["replay", "sprint", "x", "--film-seconds", "inf"], "--film-seconds: 'inf': expected seconds, more than 0"),
+        (["replay", "sprint", "x", "--film-seconds", "0"], "--film-seconds: '0': expected more than 0"),
+        (["replay", "sprint", "x", "--film-seconds", "inf"], "--film-seconds: 'inf': expected more than 0"),
     ],
 )
 def test_numbers_that_make_no_sense_are_refused_by_flag(
@@ -184,8 +185,10 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed
     for module in ("evaluation.evaluate", "examination.examine", "transitions.matrix"):
         monkeypatch.setattr(f"naosprint.analysis.{module}", pytest.fail)
     (tmp_path / "file").write_text("")
-    assert main([*arguments, str(tmp_path / "file" / "x")]) == 1
-    assert str(tmp_path / "file") in capsys.readouterr().err
+    # the second is a folder that exists, in which no file can be made
+    for output, named in ((tmp_path / "file" / "x", tmp_path / "file"), ("/proc/self", "/proc/self")):
+        assert main([*arguments, str(output)]) == 1
+        assert str(named) in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

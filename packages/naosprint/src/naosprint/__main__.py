@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import math
 import signal
 import sys
 import threading
@@ -12,8 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from naosim.simulator import ServerLostError
-from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
+from naospec import EvaluationSpec, TrainingSpec, recipes
 from naospec.files import named_errors
 from naospec.flags import ALIASES, FlagError, explain, flag_name, help_text, parse_flags, read_switches
 from naospec.flat import settings, settings_of
@@ -23,7 +21,7 @@ from pydantic_core import PydanticUndefined
 from naosprint import commands
 from naosprint.commands import EXIT_FAILURE
 from naosprint.matches.commands import add_parsers
-from naosprint.matches.game import MatchError
+from naosprint.programs import EXPECTED_ERRORS, above_zero, integer
 from naosprint.threads import quiet_openmp
 
 if TYPE_CHECKING:
@@ -37,6 +35,7 @@ EXIT_USAGE = 2
 MAX_THREADS, MAX_FILM_S = 256, 3600.0
 """Threads of the simulator, and seconds of a film, at most."""
 
+_threads = integer(1, MAX_THREADS)
 _CHECKPOINT_HELP = "checkpoint directory, or the name of a bundled policy"
 _REPLAY_FIELDS = {"task", "seed", "simulator", "start_noise_deg"}
 
@@ -68,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except FlagError as error:
         sys.stderr.write(f"{error}\n")
         return EXIT_USAGE
-    except (OSError, ValueError, MatchError, ServerLostError, plugins.BrokenPluginError) as error:
+    except EXPECTED_ERRORS as error:
         sys.stderr.write(f"error: {error}\n")
         return EXIT_FAILURE
 
@@ -137,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     handover.add_argument("--only", metavar="SKILLS", help="skills to choose, with commas between")
     handover.add_argument("--transitions", type=int, default=200, help="transitions of each two (default: 200)")
-    handover.add_argument("--seed", type=int, default=1, help="seed of states and commands (default: 1)")
+    handover.add_argument("--seed", type=integer(0), default=1, help="seed of states and commands (default: 1)")
     handover.add_argument("--engine", default="mujoco", choices=("fast", "mujoco"), help="engine (default: mujoco)")
     handover.add_argument("--output", type=Path, metavar="FILE", help="JSON file with intervals")
     handover.add_argument("--threads", type=_threads, default=2, help="threads of the simulator (default: 2)")
@@ -219,22 +218,9 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
     return parse_flags(options.settings, {name: text for name, text in texts.items() if text is not None})
 
 
-def _threads(text: str) -> int:
-    """Return a number of threads. Raises argparse.ArgumentTypeError."""
-    if not text.isdecimal() or not 1 <= int(text) <= MAX_THREADS:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number of 1 to {MAX_THREADS}")
-    return int(text)
-
-
 def _seconds(text: str) -> float:
     """Return a length of time, s. Raises argparse.ArgumentTypeError."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = math.nan
-    if not 0.0 < seconds <= MAX_FILM_S:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected seconds, more than 0 and at most {MAX_FILM_S:,}")
-    return seconds
+    return above_zero(text, MAX_FILM_S)
 
 
 @contextmanager

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -30,9 +32,18 @@ EXIT_FAILURE = 1
 
 
 def _usable(output: Path | None, *, folder: bool) -> None:
-    """Make the folder of an output before anything is computed for it. Raises OSError."""
-    if output is not None:
-        (output if folder else output.parent).mkdir(parents=True, exist_ok=True)
+    """Make the folder of an output, and write there before anything is computed for it. Raises OSError."""
+    if output is not None and (folder or not _is_special(output)):
+        place = output if folder else output.parent
+        place.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=place).close()
+
+
+def _is_special(output: Path) -> bool:
+    """Return whether a file is a device, pipe or link, whose name stays. Raises IsADirectoryError."""
+    if output.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(output))
+    return output.is_symlink() or (output.exists() and not output.is_file())
 
 
 def stop_on_signals() -> threading.Event:
@@ -249,8 +260,8 @@ def handover(options: argparse.Namespace) -> int:
     Console().print(table)
     if options.output is not None:
         found = transitions.to_dict(cells, members, options.engine, options.seed)
-        if options.output.exists() and (options.output.is_symlink() or not options.output.is_file()):
-            options.output.write_text(json_text(found), encoding="utf-8")  # such as /dev/stdout, whose name stays
+        if _is_special(options.output):
+            options.output.write_text(json_text(found), encoding="utf-8")  # such as /dev/stdout
         else:
             write_whole(options.output, json_text(found))
     return 0
