@@ -58,8 +58,9 @@ class PolicyAgent:
     def act(self, observation):
         """Return the joints' target angles in radians, in the server's order and with its signs."""
         values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
-        for i in range(self.layers):
-            values = getattr(self, f"weights_{i}") @ (np.tanh(values) if i else values) + getattr(self, f"bias_{i}")
+        for i, kind in enumerate(self.activations):
+            values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
+            values = {"tanh": np.tanh(values), "relu": np.maximum(values, 0), "linear": values}[str(kind)]
         return np.clip(self.middle_rad + self.reach_rad @ np.clip(values, -1, 1), self.low_rad, self.high_rad)
 
     def command(self, targets):

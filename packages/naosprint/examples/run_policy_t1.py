@@ -35,8 +35,7 @@ class PolicyAgent:
 
     def begin(self):
         """Begin an episode, without observations of earlier steps."""
-        self.cycles, self.velocity, self.action = 0, np.zeros(3), np.zeros(len(self.action_names))
-        self.past = []
+        self.cycles, self.past, self.velocity, self.action = 0, [], np.zeros(3), np.zeros(len(self.action_names))
 
     def seen(self):
         """Return what can be observed; every number has a name."""
@@ -56,8 +55,9 @@ class PolicyAgent:
     def act(self, observation):
         """Return the joints' target angles in radians."""
         values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
-        for i in range(self.layers):
-            values = getattr(self, f"weights_{i}") @ (np.tanh(values) if i else values) + getattr(self, f"bias_{i}")
+        for i, kind in enumerate(self.activations):
+            values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
+            values = {"tanh": np.tanh(values), "relu": np.maximum(values, 0), "linear": values}[str(kind)]
         self.action = np.clip(values, -1, 1)
         return np.clip(self.middle_rad + self.reach_rad @ self.action, self.low_rad, self.high_rad)
 

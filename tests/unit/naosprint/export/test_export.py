@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import json
+import runpy
 import shutil
 import subprocess
 import sys
@@ -79,6 +80,22 @@ def test_onnx_gives_the_actions_of_torch(checkpoint: Path, exported: Path) -> No
     np.testing.assert_allclose(found, hidden.numpy(), atol=2e-5)
     np.testing.assert_allclose(found, policy.act(observations), atol=2e-5)
     assert found.std() > 1e-3
+
+
+@pytest.mark.parametrize("example", ["run_policy.py", "run_policy_t1.py"])
+def test_the_example_agents_act_with_the_functions_of_the_policys_layers(
+    example: str, checkpoint: Path, exported: Path, tmp_path: Path
+) -> None:
+    arrays = dict(np.load(exported / "policy.npz"))
+    policy, _ = load_policy(checkpoint)
+    rectified = replace(policy, activation="relu")
+    np.savez(tmp_path / "policy.npz", **arrays | {"activations": np.array(rectified.activations)})
+    runner = runpy.run_path(str(AGENT.with_name(example)))["PolicyAgent"](tmp_path / "policy.npz")
+    for observation in raw_observations(checkpoint, 20):
+        targets = runner.middle_rad + runner.reach_rad @ exact_actions(rectified, observation)
+        np.testing.assert_allclose(
+            runner.act(observation), np.clip(targets, runner.low_rad, runner.high_rad), atol=1e-6
+        )
 
 
 def test_what_cannot_be_written_here_is_left_out_unless_it_is_requested(

@@ -407,6 +407,14 @@ def test_a_cycle_that_is_not_finite_keeps_the_targets(name: str, module: str, lo
             assert (np.abs(np.diff(after, axis=0)).max(axis=1) > 0.0).all()
     if hasattr(runner, "speeds"):
         np.testing.assert_array_equal(runner.speeds(usual[0], np.full_like(usual[0], np.nan)), 0.0)
+    if "vision" in inputs:  # which comes in every third cycle only
+        perceived = {each: np.array(vectors[each][0]) for each in inputs}
+        blind = [runner.observe(**perceived | {"vision": seen}) for seen in (None, np.full((8, 3), np.nan))]
+        runner.begin()
+        seeing_none = runner.observe(**perceived | {"vision": None})
+        runner.begin()
+        np.testing.assert_array_equal(seeing_none, runner.observe(**perceived | {"vision": np.full((8, 3), np.nan)}))
+        assert np.isfinite(blind).all()
 
 
 @pytest.mark.parametrize(

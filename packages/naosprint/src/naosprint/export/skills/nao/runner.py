@@ -35,7 +35,7 @@ class Runner:
         left and right foot, zeros or NaN without contact.
 
         A policy with onboard sensing estimates yaw and height from the others and from vision: (8, 3) distance in
-        metres, theta and phi in degrees of each of `onboard_landmarks`, NaN where it is not seen.
+        metres, theta and phi in degrees of each of `onboard_landmarks`, NaN where it is not seen, or None.
         A policy that observes its velocity on the field needs the torso's position (2,) there, in metres.
         """
         self.angles, self.heading = np.array(angles_deg, float), float(latest(self.heading, yaw))
@@ -45,7 +45,7 @@ class Runner:
             **{"height": height, "centre_of_mass": self.centre_of_mass(), "steps": self.cycles},
             **{"perceptors.joint_angles": self.angles, "perceptors.gyro": gyro_deg, "perceptors.accel": accel},
             **{"perceptors.foot_left": left_foot, "perceptors.foot_right": right_foot},
-            **{"perceptors.vision": vision, "heading": self.heading},
+            **{"perceptors.vision": np.full((8, 3), np.nan) if vision is None else vision, "heading": self.heading},
         }
         if position is not None:
             c, s = np.cos(self.heading), np.sin(self.heading)
