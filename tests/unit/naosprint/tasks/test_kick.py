@@ -377,6 +377,23 @@ def test_a_walk_through_the_ball_moves_it_and_ends_upright() -> None:
     assert np.abs(np.degrees(angle)).max() < 90.0
 
 
+def test_an_early_touch_costs_what_a_miss_costs_and_its_placement_can_count_more_narrowly() -> None:
+    settings = {"seed": 3, "aligned_fraction": 1.0, "rolling_fraction": 0.0, "place_weight": 0.0, "miss_penalty": 2.0}
+    usual = environment_of(8, **settings)
+    patient = environment_of(8, **settings, earliest_touch_steps=60, place_spread=0.5)
+    lost, moments = np.zeros(8), np.full(8, np.inf)
+    for step in range(1, 76):
+        for environment in (usual, patient):
+            walk(environment, 1)
+        lost += (usual.rewards - patient.rewards) / usual.task.parameters.reward_scale
+        moments[task_of(usual)._touched == 0] = step
+    early = moments < 60
+    assert early.any() and (moments[~early] < np.inf).any()
+    np.testing.assert_allclose(lost, np.where(early, 2.0, 0.0), atol=1e-4)
+    wide, narrow = (task_of(each)._placement()(slice(0, 8))[:, 0] for each in (usual, patient))
+    assert (narrow < wide).all()
+
+
 def test_a_state_is_complete() -> None:
     first = environment_of(4, seed=1)
     walk(first, 30)

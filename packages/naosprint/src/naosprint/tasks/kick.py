@@ -136,6 +136,7 @@ class Kick(BallTask[KickSettings]):
         self._gain: FloatArray = np.zeros(n)
         self._placed: FloatArray = np.zeros(n)
         self._done: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._hasty: BoolArray = np.zeros(n, dtype=np.bool_)
         self._missed: BoolArray = np.zeros(n, dtype=np.bool_)
         aim = self.stored("aim")
         self.measurements = (
@@ -348,6 +349,7 @@ class Kick(BallTask[KickSettings]):
         touched, launch, score, kicked = (self.stored(name) for name in names)
         since = self._since
         gain, placed, fallen, done = (source(each) for each in (self._gain, self._placed, self._fallen, self._done))
+        hasty = source(self._hasty)
         fresh, before = source(np.zeros(self.n, dtype=np.bool_)), source(np.zeros(self.n))
         live = (since >= 0.0) & ~(since > _SETTLED)
         if settings.whole_roll:
@@ -362,6 +364,7 @@ class Kick(BallTask[KickSettings]):
             Store(touched, begin=constant(-1.0), update=where(fresh, 0.0, touched + (touched >= 0.0))),
             *(self._follow_again() if self._again else []),
             Store(placed, update=where(fresh, self._placement(), 0.0)),
+            Store(hasty, update=fresh & (world.step < settings.earliest_touch_steps)),
             Store(launch, begin=constant([0.0, 0.0]), update=where(live, self._launch_now(), launch)),
             Store(before, update=score),
             Store(score, begin=zero, update=where(live, self._scored(launch[0], launch[1]), score)),
@@ -394,7 +397,8 @@ class Kick(BallTask[KickSettings]):
         left, right = self._foot("left"), self._foot("right")
         distances = [hypot(foot[0] - PLACED[0], foot[1]) for foot in (left, right)]
         foot = where(distances[1] < distances[0], right, left)
-        return _bell(foot[1] / PLACED[1]) * (0.3 + 0.7 * _bell(foot[3] / PLACED[2]))
+        spread = self.parameters.place_spread
+        return _bell(foot[1] / (spread * PLACED[1])) * (0.3 + 0.7 * _bell(foot[3] / (spread * PLACED[2])))
 
     def _launch_now(self) -> Number:
         """Return angle from the aim and length of the roll that would follow from now on."""
@@ -434,6 +438,7 @@ class Kick(BallTask[KickSettings]):
             RewardTerm("upright", settings.upright_weight, source(self._done)),
             RewardTerm("fall", -settings.fall_penalty, source(self._fallen)),
             RewardTerm("miss", -settings.miss_penalty, source(self._missed)),
+            RewardTerm("haste", -settings.miss_penalty, source(self._hasty)),
             RewardTerm("time", -settings.time_penalty, self._since < 0.0),
             *penalties(self.world, settings),
         )

@@ -107,6 +107,15 @@ class KickSettings(NearBallSettings):
         description="Steps within which the ball has to be kicked.",
         json_schema_extra={"unit": "steps"},
     )
+    earliest_touch_steps: int = Field(
+        default=0,
+        ge=0,
+        le=1000,
+        title="Earliest touch",
+        description="Steps before which a touch costs what a miss costs, so that the robot places itself before it "
+        "kicks.",
+        json_schema_extra={"unit": "steps"},
+    )
     whole_roll: bool = Field(
         default=False,
         title="Whole roll",
@@ -114,6 +123,15 @@ class KickSettings(NearBallSettings):
     )
     place_weight: float = weight(
         1.0, "Placement weight", "Reward for a first touch with the ball before the foot, whose yaw is that of the aim."
+    )
+    place_spread: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=10.0,
+        title="Placement spread",
+        description="Factor of the distances and angles at which the placement's reward has fallen to 1/e: 4 cm beside "
+        "the foot's line, and 12 degrees of the foot.",
+        json_schema_extra={"with": ["place_weight"]},
     )
     distance_spread: float = Field(
         default=0.35,
