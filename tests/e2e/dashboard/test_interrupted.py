@@ -11,6 +11,7 @@ from naojobs.database import notify
 from naojobs.models import Job, MetricsRecord, Token
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.select import Select
 from sqlalchemy import func, update
 
 if TYPE_CHECKING:
@@ -355,6 +356,22 @@ def test_what_is_submitted_again_keeps_its_order_and_the_task_of_its_evaluation(
     browser.until(lambda: browser.all("pre.code"))
     sent = json.loads(browser.js("return document.querySelector('pre.code').textContent"))
     assert (sent["priority"], sent["max_attempts"], sent["evaluation"]) == (8, 7, body["evaluation"])
+
+
+def test_a_job_whose_parent_has_been_deleted_is_not_submitted_again_unnoticed(
+    browser: Browser, token: str, client: httpx.Client
+) -> None:
+    body = {"spec": {"total_steps": 1_000_000}, "not_before": "2100-01-01T00:00:00Z"}
+    parent = client.post("/jobs", json=body).raise_for_status().json()["id"]
+    child = client.post("/jobs", json={**body, "parent_job_id": parent}).raise_for_status().json()["id"]
+    for job in (child, parent):
+        client.post(f"/jobs/{job}/cancel").raise_for_status()
+    client.delete(f"/jobs/{parent}").raise_for_status()
+    browser.sign_in(token)
+    browser.open(f"/submit?from={child}")
+    browser.shows("it would start from random weights")
+    Select(browser.find("#recipe")).select_by_value("sprint-hour")
+    browser.until(lambda: "random weights" not in browser.find("main").text)
 
 
 def test_studies_versions_and_evaluations_are_sent_again_with_their_key(

@@ -115,6 +115,21 @@ def test_a_body_has_to_arrive_in_time(run: Callable[..., Running], sent: bytes) 
         assert b" 408 " in read_all(connection)
 
 
+def test_a_large_body_may_come_slowly_and_no_part_of_it_late(run: Callable[..., Running]) -> None:
+    server = run(body_s=0.6, part_bytes=1000)
+    with server.connect() as connection:
+        connection.sendall(POST % 4000)
+        for _ in range(4):  # together they take longer than one part may
+            connection.settimeout(0.25)
+            with pytest.raises(TimeoutError):
+                connection.recv(1)
+            connection.sendall(b"x" * 1000)
+        connection.settimeout(10)
+        assert b"4000" in connection.recv(65_536)
+        connection.sendall(POST % 4000 + b"x" * 1999)
+        assert b" 408 " in read_all(connection)
+
+
 def test_a_drip_does_not_extend_a_deadline(run: Callable[..., Running]) -> None:
     server = run(head_s=0.3)
     with server.connect() as connection:

@@ -22,7 +22,9 @@ class Bounds:
     head_s: float = 10.0
     """Seconds in which the head of a request has to arrive, from its first byte or the start of the connection."""
     body_s: float = 60.0
-    """Seconds in which the body has to arrive; while the service does not read it, no time passes."""
+    """Seconds in which each part of a body has to arrive; while the service does not read it, no time passes."""
+    part_bytes: int = 1 << 20
+    """Bytes of a part, so that a large body may come over a slow line."""
     head_bytes: int = 64 << 10
     """Bytes of a head, and of trailers behind a body."""
     per_address: int = 1024
@@ -65,8 +67,8 @@ class BoundedProtocol(HttpToolsProtocol):
     _refused = False
     _idle = True
     """Whether no request is being read: before the end of the next head."""
-    _head_bytes = _pending_bytes = 0
-    """Bytes of names and values of the head, and bytes that have not become part of anything yet."""
+    _head_bytes = _part_bytes = _pending_bytes = 0
+    """Bytes of names and values of the head, of a part of the body, and those that are part of nothing yet."""
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -120,12 +122,17 @@ class BoundedProtocol(HttpToolsProtocol):
     def on_headers_complete(self) -> None:
         """Wait for the body."""
         self._idle = False
+        self._part_bytes = 0
         self._expect(self.bounds.body_s, self._body_is_late)
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
         """Take a part of the body."""
         self._pending_bytes = 0
+        self._part_bytes += len(body)
+        if self._part_bytes >= self.bounds.part_bytes:
+            self._part_bytes = 0
+            self._expect(self.bounds.body_s, self._body_is_late)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
@@ -170,7 +177,10 @@ class BoundedProtocol(HttpToolsProtocol):
         elif self.cycle.response_started:
             self.transport.close()
         else:
-            self._refuse("408 Request Timeout", f"a body has to arrive within {self.bounds.body_s:g} s")
+            self._refuse(
+                "408 Request Timeout",
+                f"{self.bounds.part_bytes:,} bytes have to arrive within {self.bounds.body_s:g} s",
+            )
 
     def _refuse(self, status: str, text: str) -> None:
         if self.transport.is_closing():

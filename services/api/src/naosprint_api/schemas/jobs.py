@@ -156,6 +156,7 @@ class JobPublic(RowView):
     parent_job_id: str | None
     parent_checkpoint_id: str | None
     parent_policy: str | None = Field(description="The bundled policy or the version that it was to start from.")
+    needs_policy: bool = Field(description="Whether it was to start from another policy, which may be deleted since.")
     software: dict[str, str] = Field(
         description="Versions by package that the last attempt ran with, and the commit of the source if it is known."
     )

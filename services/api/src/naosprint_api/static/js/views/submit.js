@@ -67,6 +67,7 @@ class SubmitView {
       ? { job: model.parent_job_id, checkpoint: model.parent_checkpoint_id }
       : { job: this.params.get("parent"), checkpoint: this.params.get("checkpoint") };
     if (this.parentPolicy) this.parent = {};
+    this.parentGone = again && model.needs_policy && !this.parentPolicy && !this.parent.job;
     this.build();
   }
 
@@ -179,6 +180,7 @@ class SubmitView {
           const job = this.recipes.get(recipe.value)?.job ?? { spec: {} };
           this.parentPolicy = job.parent_policy;
           if (this.params.has("from")) this.parent = {};
+          this.parentGone = false;
           this.paintOrigin();
           this.fillFrom(job);
         },
@@ -302,8 +304,13 @@ class SubmitView {
           checkpoint ? [", checkpoint ", h("code", null, checkpoint)] : ", newest checkpoint",
         ]
       : this.parentPolicy && h("code", null, this.parentPolicy);
-    fill(this.origin, source ? notice("info", "Starts from a trained policy:", source) : null);
-    this.origin.hidden = !source;
+    const gone = "The policy that this job started from has been deleted:";
+    fill(
+      this.origin,
+      source ? notice("info", "Starts from a trained policy:", source) : null,
+      this.parentGone ? notice("warn", gone, "it would start from random weights.") : null,
+    );
+    this.origin.hidden = !source && !this.parentGone;
   }
 
   /**
