@@ -6,7 +6,7 @@ PACKAGES := packages/naospec packages/naopolicies packages/naosim packages/naosp
 SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) $(wildcard packages/*/CMakeLists.txt packages/*/cpp/*)
 INSTALLED := $(VENV)/.installed
 
-# Without bytecode each of the tests' thousand processes would compile our packages anew.
+# Without bytecode each of the tests' thousand processes would compile our packages again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help install demo up test check lint js format types e2e soak world fuzz audit readme docs wheels bench sanitize clean

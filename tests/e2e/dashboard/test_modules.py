@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from PIL import Image
 
 if TYPE_CHECKING:
     from conftest import Browser
@@ -66,6 +67,23 @@ def test_numbers_are_read_as_people_type_them(page: Browser, text: str, value: f
         "const v = (await import('/ui/js/schema.js')).number(args[0]); return Number.isNaN(v) ? null : v;", text
     )
     assert got == value
+
+
+def test_a_message_is_seen_above_an_open_dialog(page: Browser) -> None:
+    page.module(
+        """
+        const { toast } = await import("/ui/js/dom.js");
+        toast("earlier", "error");
+        const dialog = document.createElement("dialog");
+        dialog.style = "inset: 0; width: 100vw; height: 100vh; max-width: none; max-height: none; background: #010203";
+        document.body.append(dialog);
+        dialog.showModal();
+        toast("no answer", "error");
+        """
+    )
+    for message in page.all(".toast"):
+        with Image.open(io.BytesIO(message.screenshot_as_png)) as picture:
+            assert picture.getcolors(1) is None, "the dialog, of one color, hides the message"
 
 
 def test_seeds_are_read_as_list_and_range(page: Browser) -> None:

@@ -187,7 +187,11 @@ export function toast(message, kind = "info") {
     h("span", null, message),
     h("button", { class: "ghost small", "aria-label": "Dismiss", onclick: () => box.remove() }, icon("close")),
   );
-  document.getElementById("toasts").append(box);
+  const toasts = document.getElementById("toasts");
+  toasts.append(box);
+  // shown last, it lies above an open dialog
+  toasts.hidePopover();
+  toasts.showPopover();
   if (kind !== "error") setTimeout(() => box.remove(), 4000);
 }
 
