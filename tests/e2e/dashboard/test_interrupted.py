@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from naojobs.database import notify
-from naojobs.models import Job, MetricsRecord, Token
+from naojobs.models import Job, MetricsRecord, Token, generation
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.select import Select
@@ -239,8 +239,10 @@ def change(stack: Stack, job: str, **values: Any) -> None:
 def test_an_answer_that_comes_late_does_not_replace_a_newer_state(
     browser: Browser, stack: Stack, token: str, job: str, place: str
 ) -> None:
-    lease = {"lease_owner": "worker", "attempt": 1, "started_at": func.now(), "lease_expires_at": func.now()}
-    change(stack, job, state="running", **{**lease, "lease_expires_at": datetime(2100, 1, 1, tzinfo=UTC)})
+    # of this generation, so that no worker takes it for one of a database that was restored
+    lease = {"lease_owner": "worker", "lease_generation": generation(), "attempt": 1}
+    expires_at = datetime(2100, 1, 1, tzinfo=UTC)
+    change(stack, job, state="running", started_at=func.now(), lease_expires_at=expires_at, **lease)
     browser.sign_in(token)
     browser.open("/" if place == "list" else f"/jobs/{job}")
     browser.shows("Live", ".top")
@@ -253,7 +255,7 @@ def test_an_answer_that_comes_late_does_not_replace_a_newer_state(
     browser.js(HOLD_POSTS)
     browser.find("[data-action=pause]").click()
     browser.until(lambda: state() == "pausing", 20)
-    change(stack, job, state="paused", lease_owner=None, lease_expires_at=None)
+    change(stack, job, state="paused", lease_owner=None, lease_generation=None, lease_expires_at=None)
     browser.until(lambda: state() == "paused", 20)
     browser.module(
         "release(); await new Promise((done) => setTimeout(done)); await new Promise(requestAnimationFrame);"
