@@ -5,8 +5,8 @@ from __future__ import annotations
 import http.client
 import json
 import logging
+import queue
 import socket
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -124,17 +124,22 @@ def test_a_client_that_leaves_in_the_middle_of_a_body_is_no_failure_of_the_servi
     api: Any, make_token: Callable[..., str], caplog: pytest.LogCaptureFixture, path: str, known: bool
 ) -> None:
     """Such answers would count as internal errors, of which operators are alerted, and need no token."""
+    lines: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
+    handler = logging.Handler()
+    handler.emit = lines.put  # type: ignore[method-assign]
+    access = logging.getLogger("naosprint_api.access")
     caplog.set_level(logging.INFO)
     head = f"{path} HTTP/1.1\r\nHost: x\r\nContent-Type: application/octet-stream\r\nContent-Length: 100000\r\n"
     token = f"Authorization: Bearer {make_token('root', 'admin')}\r\n" if known else ""
     host, port = api.url.removeprefix("http://").split(":")
-    with socket.create_connection((host, int(port))) as connection:
-        connection.sendall(f"{head}{token}\r\nabc".encode())
-    deadline = time.monotonic() + 30
-    while not (lines := [record for record in caplog.records if record.name == "naosprint_api.access"]):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    (line,) = lines
+    access.addHandler(handler)
+    try:
+        with socket.create_connection((host, int(port))) as connection:
+            connection.sendall(f"{head}{token}\r\nabc".encode())
+        line = lines.get(timeout=30)
+    finally:
+        access.removeHandler(handler)
+    assert lines.empty()
     assert 400 <= int(line.args[2]) < 500  # type: ignore[index,arg-type]
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 

@@ -58,17 +58,17 @@ def test_an_archive_that_costs_more_than_its_size_is_refused(data: bytes, messag
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (packed(("team.json", TEAM), ("a" * 256, "")), "or too long; use another one"),
-        (packed(("team.json", TEAM), ("é" * 128, "")), "or too long; use another one"),
-        (packed(("team.json", TEAM), ("folder/" * 200 + "a", "")), "or too long; use another one"),
-        (packed(("team.json", TEAM), path="a\0b"), "is no name of a file"),
+        (packed(("team.json", TEAM), ("a" * 256, "")), "or is too long; rename it"),
+        (packed(("team.json", TEAM), ("é" * 128, "")), "or is too long; rename it"),
+        (packed(("team.json", TEAM), ("folder/" * 200 + "a", "")), "or is too long; rename it"),
+        (packed(("team.json", TEAM), path="a\0b"), "is not a valid file name"),
         (packed(("team.json", TEAM), (".", "text")), "pack only files and folders"),
         (packed(("team.json", TEAM), size="-1"), "pack only files and folders"),
         (packed(("team.json", TEAM), ("a", ""), ("a/b/c", "")), "'a/b/c': is below a file"),
         (packed(("a/b", ""), ("team.json", TEAM), ("a", "")), "'a/b': is below a file"),
         (packed(("team.json", TEAM), ("team.json/b", "")), r"'team\.json/b': is below a file"),
         *(
-            (packed(("team.json", TEAM), mtime=time), "'weights': has no time of modification")
+            (packed(("team.json", TEAM), mtime=time), "'weights': has no valid modification time")
             for time in ("nan", "1e999", "-1e30")
         ),
     ],

@@ -195,9 +195,9 @@ def _checked(archive: tarfile.TarFile) -> dict[str, tarfile.TarInfo]:
             raise InvalidError(f"{name[:200]!r}: pack only files and folders below the team's own", "body")
         encoded = os.fsencode(path)
         if b"\0" in encoded or len(encoded) > _MAX_PATH_BYTES or max(map(len, encoded.split(b"/"))) > _MAX_NAME_BYTES:
-            raise InvalidError(f"{path[:200]!r}: is no name of a file, or too long; use another one", "body")
+            raise InvalidError(f"{path[:200]!r}: is not a valid file name, or is too long; rename it", "body")
         if not abs(member.mtime) < _MAX_TIME_S:  # nor not a number
-            raise InvalidError(f"{path[:200]!r}: has no time of modification; pack it again", "body")
+            raise InvalidError(f"{path[:200]!r}: has no valid modification time; pack it again", "body")
         if path in found:
             raise InvalidError(f"{path[:200]!r}: is in the archive twice; pack it once", "body")
         found[path] = member
