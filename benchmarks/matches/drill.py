@@ -31,8 +31,8 @@ class Drill:
         self._name, self._number = name, number
         self._server = half_launcher(0, _HALF_S).start()
         self._monitor = GameMonitor(self._server, time.monotonic() + _PATIENCE_S)
-        self._advance()
         self._agent = AgentProcess(team, name, number, players, self._server.address, Limits())
+        self._advance()
         while not self._frame.bodies:
             self._advance()
 
@@ -60,7 +60,9 @@ class Drill:
         return float(bodies[0, 3, 2])
 
     def _advance(self) -> None:
-        """Read the next state of the game."""
+        """Read the next state of the game, in which the player takes part."""
+        if not self._agent.alive():
+            sys.exit(f"the agent of {self._name}: {self._agent.describe()}")
         self._frame: Frame = self._monitor.next(time.monotonic() + _PATIENCE_S)
         if PLAY_MODES[self._frame.mode] == "GameOver":
             sys.exit("the half is over; give the player less to do on a server")
