@@ -473,7 +473,7 @@ def s3_service(
 
 
 class StoreProxy(ThreadingHTTPServer):
-    """A proxy before an S3 server that answers reads wrongly for a while.
+    """A proxy before an S3 server that answers reads wrongly, or nothing at all, for a while.
 
     The wrong answers are a page of errors with status 200, a body that is cut in half, and status 404.
     """
@@ -485,6 +485,9 @@ class StoreProxy(ThreadingHTTPServer):
         self.upstream = httpx.URL(upstream)
         self.wrong: list[str] = []
         """Wrong answers that are still to be given."""
+        self.answers = threading.Event()
+        """Requests wait for it."""
+        self.answers.set()
 
     @property
     def url(self) -> str:
@@ -500,6 +503,7 @@ class _Passing(BaseHTTPRequestHandler):
         pass
 
     def pass_on(self) -> None:
+        self.server.answers.wait(60)
         upstream = http.client.HTTPConnection(self.server.upstream.host, self.server.upstream.port or 80)
         with contextlib.closing(upstream):
             sent = self.rfile.read(int(self.headers.get("content-length", 0)))

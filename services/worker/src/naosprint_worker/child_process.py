@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import TypeVar
 
 from naojobs import outcomes
 from naojobs.database import Sessions, make_sessions
@@ -35,6 +36,8 @@ from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 TRAINER_OOM_SCORE, EVALUATOR_OOM_SCORE = 200, 1000
 """What the kernel adds to a process's thousandths of memory: it ends evaluations before trainings before the worker."""
@@ -135,27 +138,54 @@ class Services:
             CorruptArtifactError: a file did still not match the manifest.
             PatienceExhaustedError: the store failed for too long.
         """
-
-        def before_retry(error: Exception, pause_s: float) -> None:
-            self.progress.mark()
-            if on_retry is not None:
-                on_retry(error, pause_s)
-
         unusable: BaseException | None = None
         try:
-            retry(
-                lambda: self.store.get_directory(key, folder, manifest),
-                what=f"fetching {key}",
-                transient=(StoreError,),
-                patience_s=self.settings.worker_patience_s if patience_s is None else patience_s,
-                on_retry=before_retry,
-            )
+            with self.progress.waiting():
+                retry(
+                    lambda: self.store.get_directory(key, folder, manifest),
+                    what=f"fetching {key}",
+                    transient=(StoreError,),
+                    patience_s=self.settings.worker_patience_s if patience_s is None else patience_s,
+                    on_retry=on_retry,
+                )
         except PatienceExhaustedError as error:
             if not isinstance(error.__cause__, CorruptArtifactError | MissingArtifactError):
                 raise
             unusable = error.__cause__
         if unusable is not None:
             raise unusable  # outside: an error that is the cause of its own cause has no end
+
+    def put(
+        self, key: str, folder: Path, *, what: str, on_retry: Callable[[Exception, float], None] | None = None
+    ) -> StoreManifest:
+        """Upload the files of ``folder`` as an artifact and return its manifest, waiting for a store that fails.
+
+        Args:
+            key: of the artifact.
+            folder: its files.
+            what: what is stored, for people.
+            on_retry: called with each error and the seconds until the next try.
+
+        Raises:
+            PatienceExhaustedError: the store failed for too long.
+        """
+        with self.progress.waiting():
+            return retry(
+                lambda: self.store.put_directory(key, folder),
+                what=f"storing {what}",
+                transient=(StoreError,),
+                patience_s=self.settings.worker_patience_s,
+                on_retry=on_retry,
+            )
+
+    def database(self, call: Callable[[], T], what: str) -> T:
+        """Return ``call()``, waiting for a database that fails.
+
+        Raises:
+            PatienceExhaustedError: the database failed for too long; ``what`` names what was tried.
+        """
+        with self.progress.waiting():
+            return retry(call, what=what, transient=DATABASE_ERRORS, patience_s=self.settings.worker_patience_s)
 
     def requeue_if_orphaned(self, lease: Lease) -> None:
         """Requeue the work if this process's worker has died; otherwise it would wait until the lease expires."""

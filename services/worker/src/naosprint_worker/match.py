@@ -19,7 +19,7 @@ from naojobs import matches, outcomes
 from naojobs.leases import MatchClaim
 from naojobs.matches import StoredGame
 from naojobs.states import WorkState
-from naojobs.store import StoreError, StoreManifest, game_key, new_nonce
+from naojobs.store import StoreManifest, game_key, new_nonce
 from naojobs.teams import ARCHIVE, MatchTeam
 from naosprint.matches.film import film_name, goal_frames, write_game_film
 from naosprint.matches.game import GameSettings, MatchError, Moment, TeamFailedError
@@ -34,7 +34,6 @@ from naosprint_worker.assignment import read_assignment
 from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.outcome import Outcome, TrainerExitCode
-from naosprint_worker.retry import retry
 from naosprint_worker.spool import link_or_copy
 
 
@@ -158,12 +157,7 @@ class _Match:
         folder = self._game_folder(number)
         link_or_copy(str(self._folder / log_name(number)), str(folder / log_name(number)))
         key = game_key(lease.id, number, lease.attempt, new_nonce())
-        manifest = retry(
-            lambda: services.store.put_directory(key, folder),
-            what="storing a game",
-            transient=(StoreError,),
-            patience_s=services.settings.worker_patience_s,
-        )
+        manifest = services.put(key, folder, what="a game")
         lost = [{"half": half, **each} for half, notes in enumerate(log.notes["halves"]) for each in notes["lost"]]
         game = StoredGame(number, log.goals, lost, key, manifest)
         lines = [("info", f"game {number} ended {log.goals[0]}:{log.goals[1]}")]
@@ -194,8 +188,7 @@ class _Match:
             matches.append_lines(self._services.sessions, self._claim.lease, [(level, text)])
 
     def _database(self, call: Callable[[], object]) -> None:
-        patience_s = self._services.settings.worker_patience_s
-        retry(call, what="recording the match", transient=DATABASE_ERRORS, patience_s=patience_s)
+        self._services.database(call, "recording the match")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import math
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 PROGRESS_FILE = "progress"
@@ -28,6 +30,23 @@ class Progress:
             self._marked_at = now
             with contextlib.suppress(OSError):  # a full disk is noticed elsewhere
                 self._path.touch()
+
+    @contextlib.contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Mark progress as long as the block runs, which waits for a service and has its own limits of time."""
+        over = threading.Event()
+
+        def mark() -> None:
+            self.mark()
+            while not over.wait(_PERIOD_S):
+                self.mark()
+
+        thread = threading.Thread(target=mark, name="waiting", daemon=True)
+        try:
+            thread.start()
+            yield
+        finally:
+            over.set()
 
 
 class ProgressWatch:

@@ -12,8 +12,7 @@ from pathlib import Path
 from naojobs import records
 
 from naosprint_worker.child_process import Services, StopRequestedError
-from naosprint_worker.database import DATABASE_ERRORS
-from naosprint_worker.retry import describe, retry
+from naosprint_worker.retry import describe
 
 logger = logging.getLogger(__name__)
 
@@ -48,12 +47,7 @@ def add_report(
         with services.stop.interruptible():
             from naosprint.analysis.report import write_report  # Matplotlib takes a while to load
 
-            title = retry(
-                lambda: _write_metrics(services, job_id, step, metrics),
-                what="reading the metrics",
-                transient=DATABASE_ERRORS,
-                patience_s=services.settings.worker_patience_s,
-            )
+            title = services.database(lambda: _write_metrics(services, job_id, step, metrics), "reading the metrics")
             write_report(folder, evaluation=evaluation, metrics=metrics, title=title, film=wanted == "film")
             for path in sorted(folder.iterdir()):
                 path.replace(evaluation / path.name)

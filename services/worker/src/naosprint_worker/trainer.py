@@ -9,11 +9,10 @@ import logging
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import naopolicies
 import naosprint
@@ -26,7 +25,6 @@ from naojobs.states import WorkState
 from naojobs.store import (
     CorruptArtifactError,
     MissingArtifactError,
-    StoreError,
     StoreManifest,
     evaluation_key,
     new_nonce,
@@ -36,20 +34,16 @@ from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import read_assignment
 from naosprint_worker.child_process import CheckpointsUnusableError, Services, StopRequestedError, run_child
-from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.memory import MIB
 from naosprint_worker.outcome import Outcome, TrainerExitCode
 from naosprint_worker.recorder import Recorder
 from naosprint_worker.report import add_report
-from naosprint_worker.retry import retry
 from naosprint_worker.sink import JobSink
 from naosprint_worker.software import software
 from naosprint_worker.spool import Entry, Spool, link_or_copy
 
 logger = logging.getLogger(__name__)
-
-T = TypeVar("T")
 
 
 _FLUSH_SHARE = 0.75
@@ -130,14 +124,14 @@ class Attempt:
             self._resumed_from = resumed_from
             if resumed_from is not None:
                 self._recorder.already_stored(step)
-            self._database(
+            services.database(
                 lambda: outcomes.begin(
                     services.sessions, lease, step=step, resumed_from=resumed_from, software=software()
                 ),
                 "starting the attempt",
             )
             if start and start.waiting:
-                known = self._database(
+                known = services.database(
                     lambda: records.metrics_steps(services.sessions, lease.job_id), "listing the metrics"
                 )
                 for entry in start.waiting:
@@ -156,7 +150,7 @@ class Attempt:
             return self._stopped(result.steps)
         with services.stop.interruptible():
             self._recorder.flush()
-        self._database(self._sink.prune, "removing old checkpoints")
+        services.database(self._sink.prune, "removing old checkpoints")
         evaluation = self._claim.evaluation
         if evaluation is not None:
             checkpoint_id = self._sink.checkpoint_id(result.steps) or resumed_from
@@ -178,7 +172,7 @@ class Attempt:
         message = f"stopped at step {step}"
         try:
             self._recorder.flush(_FLUSH_SHARE * grace_s)
-            self._database(self._sink.prune, "removing old checkpoints")
+            services.database(self._sink.prune, "removing old checkpoints")
         except TimeoutError:
             mib = self._spool.size / MIB
             message += f"; {mib:.1f} MiB of checkpoints wait on the worker's disk"
@@ -189,7 +183,9 @@ class Attempt:
         services, lease = self._services, self._lease
         # One id for all attempts: the one before may have died between recording its result and the job's end.
         identifier = same_id("eval", checkpoint_id)
-        if self._database(lambda: records.has_evaluation(services.sessions, identifier), "looking for the evaluation"):
+        if services.database(
+            lambda: records.has_evaluation(services.sessions, identifier), "looking for the evaluation"
+        ):
             return
         folder = services.workdir / "evaluation"
         threads = self._claim.spec.runtime.simulator_threads
@@ -197,14 +193,13 @@ class Attempt:
         summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, services=services, warn=warn)
         add_report(services, folder, lease.job_id, trained.steps, warn=warn)
         key = evaluation_key(lease.job_id, identifier, lease.attempt, new_nonce())
-        manifest = retry(
-            lambda: services.store.put_directory(key, folder),
-            what="storing the evaluation",
-            transient=(StoreError,),
-            patience_s=services.settings.worker_patience_s,
+        manifest = services.put(
+            key,
+            folder,
+            what="the evaluation",
             on_retry=lambda error, _: self._recorder.log("warning", f"storing the evaluation again: {error}"),
         )
-        self._database(
+        services.database(
             lambda: records.record_evaluation(
                 services.sessions,
                 lease,
@@ -232,7 +227,7 @@ class Attempt:
             CheckpointsUnusableError: all are damaged or gone. Starting again would lose the training so far.
             StoreError: all are, and the store does not return a new file either.
         """
-        listed = self._database(
+        listed = self._services.database(
             lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
         )
         self._steps.update((reference.id, reference.step) for reference in listed)
@@ -340,11 +335,7 @@ class Attempt:
                     raise
                 # It is pausing: the worker asks this process to stop within a moment.
 
-        self._database(enter, f"entering state {state}")
-
-    def _database(self, call: Callable[[], T], what: str) -> T:
-        patience_s = self._services.settings.worker_patience_s
-        return retry(call, what=what, transient=DATABASE_ERRORS, patience_s=patience_s)
+        self._services.database(enter, f"entering state {state}")
 
 
 def work(services: Services) -> Outcome:
