@@ -19,6 +19,7 @@ from naosprint.matches.relay import EFFECTORS, MOST_AHEAD, MOST_MESSAGE_BYTES, R
 from rcsssmj.games.soccer.server.soccer_action_parser import SoccerActionParser
 
 T1 = EFFECTORS["T1"]
+LEFT = (("left", "1"), ("left", "2"))
 TEXTS = [b"(syn)", b"", b"(he1 0 0 20 1 0)" * 30]
 
 
@@ -168,27 +169,38 @@ def test_an_agent_is_closed_that_sends_without_waiting_for_the_server(
     assert reason == "more than 250 messages before their cycles; send one a cycle"
 
 
-def test_the_game_waits_only_so_long_for_an_agent_in_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From each message of the server to the next of the agent; what it sends early costs nothing."""
+def test_the_game_waits_only_so_long_for_a_team_in_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From each message of the server to the next of an agent; what it sends early, or with others, costs nothing more.
+
+    Agents that delay the game one after another are closed one after another, and not those of the other team.
+    """
     monkeypatch.chdir(tmp_path)
     now_s = 100.0
     monkeypatch.setattr(relay.time, "monotonic", lambda: now_s)
-    player, text = relay._Player("T1", "left", "1"), framed(b"(syn)")
-    asked, answered = player.received(iter(lambda: framed(b"(time)"), None)), player.sent(iter(lambda: text, None))
-    next(answered)
-    for _ in range(3):
+    text, waits = framed(b"(syn)"), {"left": relay._Team(), "right": relay._Team()}
+    players = [relay._Player("T1", team, number, waits[team]) for team, number in (*LEFT, ("right", "1"))]
+    asked = [player.received(iter(lambda: framed(b"(time)"), None)) for player in players]
+    answered = [player.sent(iter(lambda: text, None)) for player in players]
+    for each in answered:
+        next(each)
         now_s += 2.0 * relay.MOST_WAIT_S  # nothing is asked
-        assert next(answered) == text
-    for _ in range(2):
-        next(asked)
-        next(asked)
+        assert next(each) == text
+    for late in range(2):
+        for each in asked:
+            next(each)
+            next(each)
+        assert next(answered[1 - late]) == text
         now_s += relay.MOST_WAIT_S / 2.0
-        assert next(answered) == text
-    next(asked)
+        assert [next(answered[each]) for each in (late, 2)] == [text, text]
+    for each in asked:
+        next(each)
+    assert next(answered[2]) == text
     now_s += 0.1
-    assert next(answered, None) is None
-    reason = Path(REFUSAL.format("left", 1)).read_text(encoding="ascii")
-    assert reason == "the game has waited 1800 s for its answers; answer sooner"
+    assert [next(each, None) for each in answered[:2]] == [None, None]
+    for team, number in LEFT:
+        reason = Path(REFUSAL.format(team, number)).read_text(encoding="ascii")
+        assert reason == "the game has waited 1800 s for its team; answer sooner"
+    assert not Path(REFUSAL.format("right", "1")).exists()
 
 
 def test_an_agent_is_closed_that_does_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,7 +210,9 @@ def test_an_agent_is_closed_that_does_not_read(tmp_path: Path, monkeypatch: pyte
     agent, client = socket.socketpair()
     with agent, socket.create_server(("127.0.0.1", 0)) as listener:
         target = f"tcp:127.0.0.1:{listener.getsockname()[1]}"
-        thread = threading.Thread(target=relay._pass, args=(client, target, relay._Player("T1", "left", "1")))
+        thread = threading.Thread(
+            target=relay._pass, args=(client, target, relay._Player("T1", "left", "1", relay._Team()))
+        )
         thread.start()
         server, _ = listener.accept()
         with server, pytest.raises(ConnectionError):

@@ -32,8 +32,8 @@ MOST_NUMBER = 1e9
 MOST_AHEAD = 250
 """Most messages that an agent sends before their cycles, 5 s of play; the server keeps them in memory."""
 MOST_WAIT_S = 1800.0
-"""Most seconds that the game waits for the answers of an agent in all: 0.12 s a cycle of a half of 300 s. The server
-itself drops only agents that are silent for 5 s, and would play slower ones for longer than a half may take.
+"""Most seconds that the game waits for the answers of a team in all: 0.12 s a cycle of a half of 300 s. The server
+itself drops only agents that are silent for 5 s, and would play slower teams for longer than a half may take.
 """
 REFUSAL = "{}-{}.refused"
 """File with the reason why the connection of a player, of a team and a number, was closed."""
@@ -174,6 +174,22 @@ def _pass(client: socket.socket, target: str, player: _Player | None = None) -> 
             back.join()
 
 
+class _Team:
+    """What the game has waited for the agents of a team in all; waiting for several at a time counts once."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._until_s = self._waited_s = 0.0
+
+    def waited(self, since_s: float) -> float:
+        """Add the time since an agent that answers now was asked; return the seconds in all."""
+        with self._lock:
+            now = time.monotonic()
+            self._waited_s += now - max(since_s, self._until_s)
+            self._until_s = now
+            return self._waited_s
+
+
 class _Player:
     """What passes between the agent of a player and the server, in messages with their lengths.
 
@@ -181,15 +197,16 @@ class _Player:
         model: the robot's model.
         team: name of its team.
         number: its uniform number.
+        waits: what the game has waited for its team.
     """
 
-    def __init__(self, model: str, team: str, number: str) -> None:
+    def __init__(self, model: str, team: str, number: str, waits: _Team) -> None:
         self._init = f"(init {model} {team} {number})".encode()  # as the server reads it, in one way only
         self._effectors = EFFECTORS.get(model, frozenset())
         self._refusal = REFUSAL.format(team, number)
         self._sent = self._received = 0
         self._asked_s: float | None = None
-        self._waited_s = 0.0
+        self._waits = waits
 
     def sent(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
         """Yield its entry and what it may send of all that it sends; end at the first that it may not."""
@@ -201,10 +218,9 @@ class _Player:
                 if self._sent - self._received > MOST_AHEAD:
                     raise RefusalError(f"more than {MOST_AHEAD} messages before their cycles; send one a cycle")
                 if self._asked_s is not None:
-                    self._waited_s += time.monotonic() - self._asked_s
-                    self._asked_s = None
-                if self._waited_s > MOST_WAIT_S:
-                    raise RefusalError(f"the game has waited {MOST_WAIT_S:g} s for its answers; answer sooner")
+                    asked_s, self._asked_s = self._asked_s, None
+                    if self._waits.waited(asked_s) > MOST_WAIT_S:
+                        raise RefusalError(f"the game has waited {MOST_WAIT_S:g} s for its team; answer sooner")
                 yield _framed(message)
         except RefusalError as error:
             self.refuse(str(error))
@@ -235,7 +251,7 @@ def _read(client: socket.socket, count: int) -> bytes:
     return data
 
 
-def _endpoint(listener: socket.socket, target: str, team: str, number: str) -> None:
+def _endpoint(listener: socket.socket, target: str, team: str, number: str, waits: _Team) -> None:
     """Pass the one connection that enters the field as a player; close those before it, and say what the first was."""
     player, said = f"{team} {number}", False
     init = re.compile(rf"\s*\(\s*init\s+([\w-]+)\s+{re.escape(team)}\s+{number}\s*\)\s*", re.ASCII)
@@ -246,7 +262,7 @@ def _endpoint(listener: socket.socket, target: str, team: str, number: str) -> N
         if found := init.fullmatch(text):
             listener.close()
             _say(player, "entered")
-            _pass(client, target, _Player(found[1], team, number))
+            _pass(client, target, _Player(found[1], team, number, waits))
             return
         client.close()
         if not said:
@@ -259,7 +275,11 @@ def main() -> None:
     target, *addresses = sys.argv[1:]
     if len(addresses) > 1:
         endpoints = zip(addresses[0::3], addresses[1::3], addresses[2::3], strict=True)
-        listeners = [(_listening(each, f"{team} {number}"), target, team, number) for each, team, number in endpoints]
+        waits = {team: _Team() for team in addresses[1::3]}
+        listeners = [
+            (_listening(each, f"{team} {number}"), target, team, number, waits[team])
+            for each, team, number in endpoints
+        ]
         threads = [threading.Thread(target=_endpoint, args=each) for each in listeners]
         for thread in threads:
             thread.start()
