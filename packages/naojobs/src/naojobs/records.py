@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 import secrets
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import datetime
+from datetime import timedelta
 from typing import Any
 
 from naospec import EvaluationSpec, stored
-from sqlalchemy import BigInteger, DateTime, Double, Integer, Text, bindparam, column, delete, func, insert, select
+from sqlalchemy import BigInteger, Double, Integer, Interval, Text, bindparam, column, delete, func, insert, select
 from sqlalchemy.dialects.postgresql import JSONB, Insert
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.orm import Session
@@ -29,8 +30,8 @@ from naojobs.leases import Lease, hold_as
 from naojobs.models import METRICS_SEQ, Checkpoint, Evaluation, Job, Log, MetricsRecord
 from naojobs.states import WorkState
 
-_LOGGED_AT = bindparam("logged_at", type_=DateTime(timezone=True))
-_INSERT_LOG = insert(Log.__table__).values(at=func.coalesce(_LOGGED_AT, func.now()))  # type: ignore[arg-type]
+_LOGGED_AT = func.statement_timestamp() - bindparam("age", type_=Interval)
+_INSERT_LOG = insert(Log.__table__).values(at=_LOGGED_AT)  # type: ignore[arg-type]
 
 
 def _upsert_metrics() -> Insert:
@@ -59,11 +60,12 @@ _UPSERT_METRICS = _upsert_metrics()
 
 @dataclass(frozen=True)
 class LogLine:
-    """Line for a job's log; without `at` it has the present time."""
+    """Line for a job's log; its age when it is written, not its host's clock, gives its time."""
 
     level: str
     message: str
-    at: datetime | None = None
+    made_s: float = field(default_factory=time.monotonic)
+    """Time at which it was made, by this process's monotonic clock."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,8 @@ def _write_metrics(session: Session, job: Job, metrics: Sequence[MetricsRow]) ->
 def _log_row(job: Job, line: LogLine) -> dict[str, Any]:
     message = public(line.message)[:MAX_LOG_CHARS]
     level = line.level.lower()[:10]
-    return {"job_id": job.id, "attempt": job.attempt, "level": level, "message": message, "logged_at": line.at}
+    age = timedelta(seconds=time.monotonic() - line.made_s)
+    return {"job_id": job.id, "attempt": job.attempt, "level": level, "message": message, "age": age}
 
 
 def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> str:

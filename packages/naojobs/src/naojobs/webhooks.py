@@ -15,7 +15,7 @@ import secrets
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from datetime import UTC, timedelta
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from typing import Any
 from urllib.parse import urlsplit
@@ -76,6 +76,8 @@ class Message:
     secret: str
     body: str
     """JSON, the same in every attempt."""
+    taken_at: datetime
+    """When the attempt began."""
 
 
 def is_alert(url: str) -> bool:
@@ -222,13 +224,13 @@ def take_due(sessions: Sessions, sending: Collection[Message] = ()) -> list[Mess
         for webhook_id in session.scalars(ended).all():
             _disable(session, webhook_id, "the token that made the webhook was revoked or has expired")
         rows = session.execute(
-            select(Delivery, Webhook)
+            select(Delivery, Webhook, func.now())
             .join(Webhook)
             .where(Delivery.id.in_(first), due)
             .with_for_update(of=Delivery, skip_locked=True)
         ).all()
         messages = []
-        for delivery, webhook in rows:
+        for delivery, webhook, now in rows:
             delivery.attempts += 1
             delivery.next_at = func.now() + timedelta(seconds=TAKEN_S)
             body = {
@@ -245,6 +247,7 @@ def take_due(sessions: Sessions, sending: Collection[Message] = ()) -> list[Mess
                     webhook.url,
                     webhook.secret,
                     json.dumps(body),
+                    now,
                 )
             )
     return messages

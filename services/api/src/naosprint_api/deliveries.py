@@ -7,7 +7,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
 from functools import partial
 from http import HTTPStatus
 from typing import TypeVar
@@ -135,13 +134,12 @@ class Deliverer:
         return await anyio.to_thread.run_sync(call, limiter=self._alert_limiter)
 
     async def _post(self, message: Message) -> int:
-        now = datetime.now(UTC)
         headers = {
             "Content-Type": "application/json",
             "User-Agent": f"naosprint/{__version__}",
             "webhook-id": message.id,
-            "webhook-timestamp": str(int(now.timestamp())),
-            "webhook-signature": Signer(message.secret).sign(message.id, now, message.body),
+            "webhook-timestamp": str(int(message.taken_at.timestamp())),
+            "webhook-signature": Signer(message.secret).sign(message.id, message.taken_at, message.body),
         }
         return await self._sender.post(message.owner, message.url, headers, message.body.encode())
 

@@ -9,7 +9,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -140,7 +139,7 @@ class Recorder:
 
     def log(self, level: str, message: str) -> None:
         """Record a line of the job's log."""
-        self._put(LogLine(level, message, datetime.now(UTC)))
+        self._put(LogLine(level, message))
 
     # Interface for the training process around it
 
@@ -279,7 +278,7 @@ class Recorder:
                 self._writing = True
             if self._dropped:
                 dropped, self._dropped = self._dropped, 0
-                batch.logs.append(LogLine("warning", f"{dropped} log lines were dropped", datetime.now(UTC)))
+                batch.logs.append(LogLine("warning", f"{dropped} log lines were dropped"))
             write = partial(self._sink.write, batch)
             self._persist(write, "writing to the database", self._patience_s)
             with self._changed:
