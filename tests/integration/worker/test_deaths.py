@@ -123,6 +123,32 @@ def test_killed_worker(service: Service, worker: WorkerProcess) -> None:
     assert not left[0].exists()
 
 
+def test_a_worker_that_starts_leaves_the_files_of_a_dead_ones_training_until_it_has_ended(service: Service) -> None:
+    """The training needs them for its last checkpoint; afterwards nothing of them stays."""
+    lease = {"NAOSPRINT_LEASE_S": "60"}
+    worker = service.start_worker(**lease)
+    job_id = start_job(service)
+    training = service.until_training(worker)
+    training.suspend()
+    saved = service.checkpoints(job_id)[-1].step
+    worker.process.kill()
+    worker.process.wait()
+    (left,) = service.folder.glob("work/*/owner")
+    other = service.start_worker(**lease)
+    with service.sessions() as session:
+        service.until(lambda: session.scalar(text("SELECT count(*) FROM workers")) == 2, what="for the other worker")
+    steps = service.shorten(job_id)
+    training.resume()
+    wait_gone(training)
+    service.until(lambda: not left.parent.exists(), what="for the files to be removed")
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    assert any(f"{worker.pid}:" in event.message and "died" in event.message for event in service.events(job_id))
+    (resumed,) = [event.data["step"] for event in service.events(job_id) if event.kind == "resumed"]
+    assert resumed > saved
+    assert_resumed_and_whole(service, job_id, steps)
+    assert other.process.poll() is None
+
+
 def test_worker_and_trainer_killed_together(service: Service, worker: WorkerProcess) -> None:
     job_id = start_job(service)
     other = service.start_worker(NAOSPRINT_WORKER_CLAIM_S="600")  # it hears of the requeued job by a message only

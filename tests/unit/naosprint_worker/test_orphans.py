@@ -1,4 +1,4 @@
-"""Processes of a dead worker are ended; nothing else is."""
+"""Processes of a dead worker are ended, then its files are removed; nothing else is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from naospec.processes import ProcessIdentity
-from naosprint_worker.orphans import OWNER_VARIABLE, OrphanSweeper, child_marks
+from naosprint_worker.orphans import OWNER_FILE, OWNER_VARIABLE, OrphanSweeper, child_marks
 
 FOLDER = Path("/work of this test")
 
@@ -80,3 +80,36 @@ def test_an_orphan_has_time_to_end_by_itself(sleeper: subprocess.Popen[bytes]) -
 def test_what_is_not_provably_an_orphan_is_left_alone(sleeper: subprocess.Popen[bytes]) -> None:
     assert sleeper.pid not in OrphanSweeper(FOLDER, grace_s=0).sweep()
     assert sleeper.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("owner", "stays"),
+    [(str(ProcessIdentity.current()), True), (str(dead_owner()), False), ("", False), ("\xff", False)],
+    ids=["alive", "gone", "emptied", "damaged"],
+)
+def test_the_working_folders_of_workers_that_are_gone_are_removed(tmp_path: Path, owner: str, stays: bool) -> None:
+    """A power cut may have emptied or damaged the name of the owner."""
+    folder = tmp_path / "host-1-2"
+    folder.mkdir()
+    (folder / OWNER_FILE).write_text(owner, encoding="latin-1")
+    (folder / "checkpoint.npz").write_bytes(b"weights")
+    OrphanSweeper(tmp_path, grace_s=0).sweep()
+    assert folder.exists() is stays
+
+
+def test_the_working_folder_of_a_dead_worker_stays_as_long_as_its_orphans(tmp_path: Path) -> None:
+    """A training saves its last checkpoint there, and files that it writes after the removal would stay for ever."""
+    folder, owner = tmp_path / "host-1-2", str(dead_owner())
+    folder.mkdir()
+    (folder / OWNER_FILE).write_text(owner, encoding="utf-8")
+    environment = {**os.environ, **child_marks(tmp_path), OWNER_VARIABLE: owner}
+    command = [sys.executable, "-c", "print(flush=True); input()"]
+    with subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as orphan:
+        assert orphan.stdout is not None
+        orphan.stdout.readline()
+        sweeper = OrphanSweeper(tmp_path, grace_s=3600)
+        assert sweeper.sweep() == []
+        assert folder.exists()
+        orphan.communicate(b"\n")
+    sweeper.sweep()
+    assert not folder.exists()

@@ -1,9 +1,10 @@
-"""Find and end training processes whose worker no longer exists."""
+"""Find and end training processes whose worker no longer exists, and remove its files."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import time
 from collections.abc import Mapping
@@ -16,6 +17,8 @@ OWNER_VARIABLE = "NAOSPRINT_CHILD_OF"
 """Environment variable of a child that contains its worker's identity."""
 FOLDER_VARIABLE = "NAOSPRINT_CHILD_IN"
 """Environment variable of a child that contains the folder of its service's workers on this host."""
+OWNER_FILE = "owner"
+"""File in a worker's working folder that contains its identity."""
 
 
 def child_marks(folder: Path) -> dict[str, str]:
@@ -24,7 +27,7 @@ def child_marks(folder: Path) -> dict[str, str]:
 
 
 class OrphanSweeper:
-    """Kill processes whose environment names a worker that is gone.
+    """Kill processes whose environment names a worker that is gone, and then remove its working folder.
 
     Only processes of this user that a worker on ``folder`` has started are considered, not those of other services on
     the host, and only once they have been seen orphaned for ``grace_s`` seconds: a child that notices by itself needs
@@ -33,27 +36,48 @@ class OrphanSweeper:
 
     def __init__(self, folder: Path, *, grace_s: float) -> None:
         """Start without known orphans."""
-        self._folder = str(folder.resolve())
+        self._folder = folder.resolve()
         self._grace_s = grace_s
         self._first_seen: dict[ProcessIdentity, float] = {}
 
     def sweep(self) -> list[int]:
-        """Check once; return the ids of the killed processes."""
+        """Check once; return the ids of the killed processes. Files of processes that may still run stay."""
         now = time.monotonic()
+        left = self._left_folders()  # before the processes, so that the orphans of each are among these
         seen: dict[ProcessIdentity, float] = {}
         ended = []
+        owners: set[ProcessIdentity] = set()
         for process in psutil.process_iter():
             with contextlib.suppress(psutil.Error, OSError):
                 identity = ProcessIdentity.of(process.pid)
-                if identity is None or process.uids().real != os.getuid() or not self._is_orphan(process.environ()):
+                if identity is None or process.uids().real != os.getuid():
                     continue
+                owner = self._lost_owner(process.environ())
+                if owner is None:
+                    continue
+                owners.add(owner)
                 seen[identity] = self._first_seen.get(identity, now)
                 if now - seen[identity] >= self._grace_s:
                     process.send_signal(signal.SIGKILL)
                     ended.append(process.pid)
         self._first_seen = seen
+        for folder, owner in left:
+            if owner not in owners:
+                shutil.rmtree(folder, ignore_errors=True)
         return ended
 
-    def _is_orphan(self, environment: Mapping[str, str]) -> bool:
+    def _lost_owner(self, environment: Mapping[str, str]) -> ProcessIdentity | None:
+        """Return the worker of an orphan's environment; none for any other process."""
         owner = ProcessIdentity.parse(environment.get(OWNER_VARIABLE, ""))
-        return owner is not None and environment.get(FOLDER_VARIABLE) == self._folder and owner.is_gone()
+        of_folder = environment.get(FOLDER_VARIABLE) == str(self._folder)
+        return owner if owner is not None and of_folder and owner.is_gone() else None
+
+    def _left_folders(self) -> list[tuple[Path, ProcessIdentity | None]]:
+        """Return the working folders of workers that are gone, with their owners; a power cut may empty the file."""
+        left = []
+        for mark in self._folder.glob(f"*/{OWNER_FILE}"):
+            with contextlib.suppress(OSError):
+                owner = ProcessIdentity.parse(mark.read_text(encoding="utf-8", errors="replace"))
+                if owner is None or owner.is_gone():
+                    left.append((mark.parent, owner))
+        return left

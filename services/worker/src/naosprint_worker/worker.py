@@ -11,7 +11,6 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 
 from naojobs import leases, registry, retention
 from naojobs.database import make_sessions
@@ -28,6 +27,7 @@ from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.context import WorkerContext
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.memory import MIB, MemoryBudget
+from naosprint_worker.orphans import OWNER_FILE
 from naosprint_worker.reaper import Reaper
 from naosprint_worker.retry import describe
 from naosprint_worker.runs import Run
@@ -35,8 +35,6 @@ from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.studies import Conductor
 
 logger = logging.getLogger(__name__)
-
-OWNER_FILE = "owner"
 
 
 class WorkLoop:
@@ -85,7 +83,6 @@ class WorkLoop:
         """Register and start to claim work, without waiting for the broker."""
         settings = self._settings
         private_folder(settings.worker_dir)
-        _remove_left_folders(settings.worker_dir)
         self._context.folder.mkdir(parents=True, exist_ok=True)
         write_whole(self._context.folder / OWNER_FILE, str(ProcessIdentity.current()))
         for name, period_s, duty, wake in (
@@ -281,12 +278,3 @@ class WorkLoop:
             wake.wait(period_s)
             if self._stopping.is_set():
                 return
-
-
-def _remove_left_folders(parent: Path) -> None:
-    """Remove the working folders of workers that no longer exist on this machine."""
-    for mark in parent.glob(f"*/{OWNER_FILE}"):
-        with contextlib.suppress(OSError):
-            owner = ProcessIdentity.parse(mark.read_text(encoding="utf-8", errors="replace"))
-            if owner is None or owner.is_gone():  # a power cut may have emptied the file
-                shutil.rmtree(mark.parent, ignore_errors=True)
