@@ -149,6 +149,20 @@ def test_a_worker_that_starts_leaves_the_files_of_a_dead_ones_training_until_it_
     assert other.process.poll() is None
 
 
+def test_a_worker_that_cannot_start_a_training_uses_up_no_attempt(service: Service, worker: WorkerProcess) -> None:
+    """It would take the job again at once, until it has failed."""
+    (mark,) = service.until(lambda: [*service.folder.glob("work/*/owner")], what="for the worker's folder")
+    service.until(lambda: "is ready for" in worker.output(), what="for the worker")
+    mark.unlink()
+    mark.parent.rmdir()
+    mark.parent.write_text("in the way: no attempt can have a folder below this name")
+    job_id = service.submit(max_attempts=1)
+    service.until(lambda: service.job(job_id).postponed > 0, what="for the first attempt to end")
+    job = service.job(job_id)
+    assert (job.state, job.failures) == (WorkState.QUEUED, 0)
+    assert "the trainer could not be started: NotADirectoryError" in str(job.error)
+
+
 def test_worker_and_trainer_killed_together(service: Service, worker: WorkerProcess) -> None:
     job_id = start_job(service)
     other = service.start_worker(NAOSPRINT_WORKER_CLAIM_S="600")  # it hears of the requeued job by a message only

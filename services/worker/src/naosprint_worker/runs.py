@@ -116,7 +116,7 @@ class Run:
             except OSError as error:
                 reason = f"the {self._program} could not be started: {describe(error)}"
                 logger.warning("%s: %s", self._lease, reason)
-                self._patiently(lambda: outcomes.lose(self._context.sessions, self._lease, reason))
+                self._patiently(lambda: outcomes.postpone(self._context.sessions, self._lease, reason))
                 return
             self._patiently(self._supervisor.account)
             self._patiently(lambda: self._settle(ending))
