@@ -305,6 +305,28 @@ def test_a_service_that_answers_slowly_is_no_stall(
         done.result(60)
 
 
+def test_a_training_whose_worker_died_requeues_its_job_though_the_store_is_silent(
+    proxied_service: Service, store_proxy: StoreProxy
+) -> None:
+    """Its last checkpoints wait on the disk; no time of its grace period is spent on an upload that does not end."""
+    service = proxied_service
+    worker = service.start_worker(NAOSPRINT_LEASE_S="60")
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    training = service.until_training(worker)
+    store_proxy.answers.clear()
+    try:
+        service.until_step(job_id, service.job(job_id).progress_step + ROLLOUT * 40)
+        worker.process.kill()
+        worker.process.wait()
+        psutil.wait_procs([training], timeout=60)
+    finally:
+        store_proxy.answers.set()
+    job = service.job(job_id)
+    assert (job.state, job.error) == (WorkState.QUEUED, f"worker {job_owner(service, job_id)} died")
+    assert max(int(path.name) for path in service.folder.glob(f"work/spool/*/*/{job_id}/1/*")) == job.progress_step
+
+
 def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tmp_path: Path) -> None:
     """The training continues until its share of the disk is used, then waits; a killed attempt loses no checkpoint."""
     worker = service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5", NAOSPRINT_WORKER_SPOOL_MB="1")
@@ -522,6 +544,11 @@ def test_a_worker_that_was_cut_off_does_not_continue_in_a_restored_history(servi
     assert_whole(service, job_id, steps)
     saved = [(row.step, row.attempt) for row in service.checkpoints(job_id)]
     assert all(attempt > 1 for step, attempt in saved if step > recorded[-1].step)
+
+
+def job_owner(service: Service, job_id: str) -> str:
+    """Return the worker that has claimed a job last."""
+    return str([event.data["worker"] for event in service.events(job_id) if event.kind == "claimed"][-1])
 
 
 def log_text(service: Service, job_id: str) -> str:

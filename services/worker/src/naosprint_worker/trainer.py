@@ -88,15 +88,16 @@ class Attempt:
     def run(self) -> Outcome:
         """Complete the job; return how it ended."""
         try:
-            outcome = self._run()
-        except StopRequestedError:
-            outcome = Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
+            try:
+                outcome = self._run()
+            except StopRequestedError:
+                outcome = Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
+            if outcome.code is TrainerExitCode.STOPPED:
+                self._services.requeue_if_orphaned(self._lease)  # first: an upload may not end within an orphan's time
+            return outcome
         finally:
             self._recorder.abandon()
             self._spool.close()
-        if outcome.code is TrainerExitCode.STOPPED:
-            self._services.requeue_if_orphaned(self._lease)
-        return outcome
 
     def _run(self) -> Outcome:
         from naosprint import CheckpointError  # loads NumPy, which has to wait for `quiet_openmp`
