@@ -4,7 +4,15 @@ from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
 import pytest
-from naoctl.commands.submit import expanded_job, make_body, make_group, parse_moment, parse_seeds, read_recipe
+from naoctl.commands.submit import (
+    expanded_job,
+    make_body,
+    make_group,
+    make_job,
+    parse_moment,
+    parse_seeds,
+    read_recipe,
+)
 from naoctl.errors import InvalidInput
 from naospec import EvaluationSpec, TrainingSpec, recipes
 from naospec.flat import nest
@@ -45,6 +53,14 @@ def test_flags_override_a_recipe(name: str) -> None:
     spec = nest({"seed": 9}, read_recipe(name)["spec"])
     assert body["spec"] == make_body({**read_recipe(name), "spec": spec}, {}, {})["spec"]
     assert body["evaluation"]["episodes"] == 50
+
+
+def test_what_is_given_to_start_from_replaces_what_the_recipe_starts_from() -> None:
+    policy = make_job(None, "t1-sprint-robust", {}, {}, start="t1-sprint", parent_policy="t1-sprint")
+    assert (policy["parent_policy"], len(policy["spec"]["stages"])) == ("t1-sprint", 3)
+    assert make_job(None, "t1-kick", {}, {})["parent_policy"] == "t1-run"
+    # the service refuses a parent job and a parent policy together
+    assert "parent_policy" not in make_job(None, "t1-kick", {}, {}, start="job walker")
 
 
 def test_an_unknown_recipe_is_refused() -> None:

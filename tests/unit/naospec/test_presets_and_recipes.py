@@ -54,6 +54,27 @@ def test_recipes_are_possible_jobs(name: str) -> None:
     assert len(spec.stage_specs) == len(spec.stages or (spec,))
 
 
+@pytest.mark.parametrize("name", recipes.names())
+def test_a_recipe_can_start_from_any_policy(name: str) -> None:
+    """Of its own stages alone it is a possible job, too: the last ones of all."""
+    stages, own = (recipes.job(name, start)["spec"].get("stages", []) for start in (None, "runs/first"))
+    assert own == stages[len(stages) - len(own) :]
+    assert (recipes.shortened(name, "runs/first") is None) == (own == stages)
+    TrainingSpec.model_validate(recipes.job(name, "runs/first")["spec"])
+
+
+def test_a_policy_replaces_the_stages_of_its_recipe() -> None:
+    def stages(name: str, start: str | None = None) -> int:
+        return len(recipes.job(name, start)["spec"]["stages"])
+
+    assert stages("t1-sprint-robust", "t1-sprint") == stages("t1-sprint-robust") - stages("t1-sprint") == 3
+    assert stages("t1-run-wide", "t1-run") == stages("t1-run-wide") - stages("t1-run")
+    assert stages("t1-run-wide", "t1-run-robust") == stages("t1-run-wide", "own") < stages("t1-run-wide", "t1-run")
+    assert stages("t1-sprint", "t1-run") == stages("t1-sprint")
+    sentence = "--recipe t1-sprint-robust: the last 3 of its 10 stages, after t1-sprint"
+    assert recipes.shortened("t1-sprint-robust", "t1-sprint") == sentence
+
+
 @pytest.mark.parametrize("name", [name for name in recipes.names() if name in naopolicies.names()])
 def test_recipes_of_bundled_policies_are_their_lineage(name: str) -> None:
     """Stage by stage: task, robot, preset, seed and overrides, except for shortened stages."""

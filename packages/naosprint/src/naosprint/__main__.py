@@ -87,7 +87,11 @@ def _parser() -> argparse.ArgumentParser:
     train = command(commands.train, "train a policy")
     train.add_argument("workdir", type=Path, help="directory for checkpoints and metrics.jsonl")
     begin = train.add_mutually_exclusive_group()
-    begin.add_argument("--recipe", choices=recipes.names(), help="start from this recipe's specification")
+    begin.add_argument(
+        "--recipe",
+        choices=recipes.names(),
+        help="start from this recipe's specification; with --from-policy, of its stages only those after that policy",
+    )
     begin.add_argument(
         "--spec",
         type=Path,

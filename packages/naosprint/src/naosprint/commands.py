@@ -91,10 +91,11 @@ def train(options: argparse.Namespace) -> int:
     base: Mapping[str, Any] = {}
     policy = options.from_policy
     if options.recipe is not None or options.spec is not None:
-        job = recipes.job(options.recipe) if options.spec is None else _job_of(options.spec)
+        job = recipes.job(options.recipe, policy) if options.spec is None else _job_of(options.spec)
         base = job.get("spec") or {}
-        if options.resume is None:
-            policy = policy or job.get("parent_policy")
+        if options.recipe is not None and policy is not None and (note := recipes.shortened(options.recipe, policy)):
+            sys.stderr.write(f"{note}\n")
+        policy = policy or job.get("parent_policy")
     if options.resume is not None:
         from naosprint.rl.checkpoint import read_manifest
 

@@ -28,6 +28,7 @@ from naoctl.commands.submit import (
     common_fields,
     hand_in,
     make_job,
+    start_of,
 )
 from naoctl.context import JsonFlag, complete_job, context_of, find_job, find_listed
 from naoctl.errors import InvalidInput, plain
@@ -115,9 +116,8 @@ def tune(
     """
     del help_all
     context = context_of(ctx)
-    if parent and policy:
-        raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
-    job = make_job(file, recipe, spec, evaluation, parent_policy=policy)
+    start = start_of(context, recipe, parent, policy)
+    job = make_job(file, recipe, spec, evaluation, start=start, parent_policy=policy)
     job |= common_fields(context, tag, priority, not_before, file=job)
     search = make_search(
         space or [],

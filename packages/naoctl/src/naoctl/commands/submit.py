@@ -45,6 +45,8 @@ COMMON_SETTINGS = (
 )
 """Settings that ``naoctl submit --help`` shows; ``--help-all`` and ``naoctl spec`` show all."""
 COMMON_EVALUATION_SETTINGS = ("episodes",)
+PARENT_FIELDS = ("parent_job_id", "parent_checkpoint_id", "parent_policy")
+"""Fields of a job that name what it starts from."""
 MAX_SEEDS = 256
 """Largest number of seeds in one range of ``--seeds``."""
 EARLIEST, LATEST = datetime(2000, 1, 1, tzinfo=UTC), datetime(9000, 1, 1, tzinfo=UTC)
@@ -67,7 +69,7 @@ RecipeOption = Annotated[
         "--recipe",
         metavar="NAME",
         help="Start from the job that trained a bundled policy, such as t1-sprint (`naoctl policies list`); flags "
-        "override its values.",
+        "override its values. With --from or --from-policy only the stages after that policy are trained.",
         autocompletion=_complete_recipe,
     ),
 ]
@@ -166,19 +168,19 @@ def submit(
     """
     del help_all
     context = context_of(ctx)
+    start = start_of(context, recipe, parent, policy)
     body = make_job(
         file,
         recipe,
         spec,
         evaluation,
+        start=start,
         evaluate=evaluate,
         name=name,
         parent_checkpoint_id=checkpoint,
         parent_policy=policy,
     )
     body |= common_fields(context, tag, priority, not_before, file=body)
-    if parent and policy:
-        raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
     if body.get("name") == NEWEST:
         raise InvalidInput(f"--name {NEWEST!r} refers to the newest job in commands", fix="Use another name.")
     group = make_group(body, seeds, grid or [], flags=spec)
@@ -232,16 +234,33 @@ def _note_waiting(context: Context, job: Mapping[str, Any]) -> None:
         context.note(f"Waiting: {waiting_text(job)}")
 
 
+def start_of(context: Context, recipe: str | None, parent: str | None, policy: str | None) -> str | None:
+    """Return what ``--from`` or ``--from-policy`` names, and note the stages of a recipe that it replaces.
+
+    Raises:
+        InvalidInput: if both are given.
+    """
+    if parent and policy:
+        raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
+    start = f"job {parent}" if parent else policy
+    if recipe in recipes.names() and start and (note := recipes.shortened(recipe, start)):
+        context.note(note)
+    return start
+
+
 def make_job(
     file: Path | None,
     recipe: str | None,
     spec_flags: dict[str, Any],
     evaluation_flags: dict[str, Any],
     *,
+    start: str | None = None,
     evaluate: bool | None = None,
     **fields: Any,
 ) -> dict[str, Any]:
     """Return the body of ``POST /jobs`` from a file or a recipe, flags, and those other ``fields`` that are not None.
+
+    What is given to start from replaces what the file or the recipe starts from.
 
     Raises:
         InvalidInput: naming the flag or the file's field that is wrong.
@@ -249,12 +268,14 @@ def make_job(
     if file and recipe:
         raise InvalidInput("--recipe and FILE both describe the job", fix="Leave one of them out.")
     body = make_body(
-        read_job_file(file) if file else read_recipe(recipe) if recipe else {},
+        read_job_file(file) if file else read_recipe(recipe, start) if recipe else {},
         spec_flags,
         evaluation_flags,
         evaluate=evaluate,
         where=f"{file}: " if file else "",
     )
+    if start:
+        body = {field: value for field, value in body.items() if field not in PARENT_FIELDS}
     return body | {field: value for field, value in fields.items() if value is not None}
 
 
@@ -266,14 +287,14 @@ def read_job_file(path: Path) -> dict[str, Any]:
         raise InvalidInput(error.message, fix=error.fix) from None
 
 
-def read_recipe(name: str) -> dict[str, Any]:
-    """Return the job of a recipe.
+def read_recipe(name: str, start: str | None = None) -> dict[str, Any]:
+    """Return the job of a recipe, without the stages that the policy to ``start`` from replaces.
 
     Raises:
         InvalidInput: naming the recipes that exist.
     """
     try:
-        return recipes.job(name)
+        return recipes.job(name, start)
     except ValueError as error:
         raise InvalidInput(f"--recipe: {error}") from None
 

@@ -35,17 +35,35 @@ def summary(name: str) -> str:
     return str(yaml.safe_load(_read(name))["summary"])
 
 
-def job(name: str) -> dict[str, Any]:
+def job(name: str, start: str | None = None) -> dict[str, Any]:
     """Return the job of a recipe, not validated yet: name, tags, spec and evaluation.
+
+    Args:
+        name: the recipe.
+        start: policy to start from instead. It replaces the stages up to those of the recipe of its name; if there are
+            none of that name, all but the recipe's own.
 
     Raises:
         ValueError: if there is no such recipe; the message lists those that exist.
     """
     content: dict[str, Any] = yaml.safe_load(_read(name))
     after = content.pop("after", None)
-    if after is not None:
-        content["spec"] = _after(job(after["recipe"])["spec"], after.get("task", {}), content["spec"])
+    if after is not None and (start is None or start in _before(after["recipe"])):
+        content["spec"] = _after(job(after["recipe"], start)["spec"], after.get("task", {}), content["spec"])
     return {"name": name, **{key: value for key, value in content.items() if key != "summary"}}
+
+
+def shortened(name: str, start: str) -> str | None:
+    """Return a sentence on the stages of a recipe that a policy to start from replaces; None if it replaces none."""
+    kept, all_stages = (len(job(name, each)["spec"].get("stages", ())) for each in (start, None))
+    last = f"the last {kept}" if kept > 1 else "only the last"
+    return f"--recipe {name}: {last} of its {all_stages} stages, after {start}" if kept < all_stages else None
+
+
+def _before(name: str) -> list[str]:
+    """Return the recipes whose stages come before those of a recipe."""
+    after = yaml.safe_load(_read(name)).get("after")
+    return [] if after is None else [after["recipe"], *_before(after["recipe"])]
 
 
 def _after(first: dict[str, Any], task: dict[str, Any], then: dict[str, Any]) -> dict[str, Any]:
