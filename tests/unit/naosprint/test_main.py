@@ -354,6 +354,22 @@ def test_another_charset_changes_no_file(checkpoint: Path, tmp_path: Path) -> No
         assert (tmp_path / locale / "out/report.html").read_text(encoding="utf-8")
 
 
+def test_what_a_training_is_resumed_with_has_to_be_what_it_was(
+    checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A recipe or a job file that differs is refused; the policy that the training started from is behind it."""
+    work, spec = tmp_path / "work", tmp_path / "job.json"
+    begun = read_manifest(checkpoint).spec.model_dump(mode="json")
+    resume = ["train", str(work), "--resume", str(checkpoint)]
+    assert main([*resume, "--recipe", "t1-sprint"]) == 1
+    words = "algorithm.batch_size: the checkpoint was trained with 64, the specification has 2048"
+    assert words in capsys.readouterr().err
+    spec.write_text(json.dumps({"spec": {**begun, "total_steps": 1024}, "parent_policy": "sprint"}), encoding="utf-8")
+    for options in (["--spec", str(spec)], ["--steps", "1024", "--from-policy", "sprint"]):
+        assert main([*resume, *options]) == 0
+        assert capsys.readouterr().out.startswith("finished 1024")
+
+
 def test_a_folder_of_another_training_is_refused(
     checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -361,4 +377,9 @@ def test_a_folder_of_another_training_is_refused(
     shutil.copytree(checkpoint, tmp_path / "work" / checkpoint.name)
     assert main(["train", str(tmp_path / "work"), "--seed", "7"]) == 1
     assert "has checkpoints of another specification" in capsys.readouterr().err
+    spec = tmp_path / "again.json"
+    spec.write_text(json.dumps({"spec": read_manifest(checkpoint).spec.model_dump(mode="json")}), encoding="utf-8")
+    assert main(["train", str(tmp_path / "work"), "--spec", str(spec)]) == 1
+    resume = f"--resume {tmp_path / 'work' / checkpoint.name}"
+    assert f"has checkpoints of this training already; continue it with {resume}" in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "work").iterdir()] == [checkpoint.name]

@@ -103,11 +103,12 @@ def train(options: argparse.Namespace) -> int:
             raise ValueError(
                 f"--resume: {options.resume} is a bundled policy, no training; start from it: --from-policy"
             )
-        base = read_manifest(options.resume).spec.model_dump(mode="json")
-        fixed = {name: base[name]["name"] for name in ("robot", "task", "algorithm") if name in given}
+        resumed = read_manifest(options.resume).spec.model_dump(mode="json")
+        fixed = {name: resumed[name]["name"] for name in ("robot", "task", "algorithm") if name in given}
         if differing := [name for name, value in fixed.items() if given[name] != value]:
             flag, value = flag_name(differing[0]), fixed[differing[0]]
             raise ValueError(f"{flag}: a training that is resumed keeps {value}; start another one: --from-policy")
+        base, policy = base or resumed, None  # it has begun: the policy that it started from is behind it
     spec = TrainingSpec.model_validate(nest(given, base))
     for sentence in spec.without_effect():
         _warn(sentence)
@@ -145,12 +146,21 @@ def train(options: argparse.Namespace) -> int:
 
 
 def _require_own_folder(workdir: Path, spec: TrainingSpec) -> None:
-    """Refuse a folder with checkpoints of another training; metrics and checkpoints of both would mix."""
+    """Refuse a folder with checkpoints of a training; metrics and checkpoints of both would mix."""
     from naosprint.rl.checkpoint import read_manifest
 
     for folder in sorted(workdir.glob("step-*"))[-1:]:
-        if read_manifest(folder).spec.digest() != spec.digest():
-            raise ValueError(f"{workdir}: has checkpoints of another specification ({folder.name}); use another folder")
+        manifest = read_manifest(folder)
+        if manifest.spec.digest() != spec.digest():
+            raise ValueError(
+                f"{workdir}: has checkpoints of another specification ({folder.name}); use another folder, or continue "
+                f"that training: --resume {folder}"
+            )
+        if manifest.steps > 0:
+            raise ValueError(
+                f"{workdir}: has checkpoints of this training already; continue it with --resume {folder}, or use "
+                "another folder"
+            )
 
 
 def evaluate(options: argparse.Namespace) -> int:
