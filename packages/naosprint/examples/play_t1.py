@@ -12,7 +12,7 @@ import socket
 import sys
 
 import numpy as np
-from run_policy_t1 import PolicyAgent, enter, receive, require_start, send
+from run_policy_t1 import PolicyAgent, enter, read, receive, require_seen, require_start, send
 
 START_X = -5.0
 ARRIVED_M, FASTEST_MPS, TURN_RAD_S, PATIENCE_S = 0.4, 1.5, 1.0, 60.0
@@ -115,10 +115,12 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     if options.tumble and not options.getup:
         parser.error("--tumble needs --getup, the policy that stands the robot up again")
-    cycles = []
-    agent, monitor, side = enter(
-        options.host, *options.ports, np.load(options.run).get("model"), options.team, options.number
-    )
+    cycles, policy = [], read(options.run)
+    if "command_forward" not in policy["observation_names"]:
+        sys.exit(f"no run: {options.run}: follows no commands; a policy of task velocity is needed")
+    if options.getup and read(options.getup)["model"] != policy["model"]:
+        sys.exit(f"no run: {options.getup}: not for the robot of {options.run}")
+    agent, monitor, side = enter(options.host, *options.ports, policy["model"], options.team, options.number)
     player = Player(options.run, side=side)
     getup = Riser(options.getup, side=side) if options.getup else None
     clock, falls, attempts = 0.0, 0, 0
@@ -140,6 +142,7 @@ def main(arguments=None):
     monitor.shutdown(socket.SHUT_WR)  # closed with unread frames, it would be reset, which kills the server
     require_start(player, START_X, 0.0)
     player.begin()
+    require_seen(player)
     rng, thrown = np.random.default_rng(options.seed), np.random.default_rng(options.seed)
     results = []
     for number, target in enumerate(rng.uniform((-12, -8), (12, 8), (options.targets, 2)), start=1):
@@ -184,5 +187,5 @@ def main(arguments=None):
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except OSError as error:
+    except (OSError, ValueError) as error:
         sys.exit(f"no run: {error}")

@@ -7,12 +7,23 @@ import re
 import select
 import socket
 import sys
+import zipfile
 
 import numpy as np
 
 FALLEN_M = 0.25
 # where the robot starts, metres, the direction it faces: +x, and how far it runs
 START, YAW_DEG, LENGTH = (-14.0, 0.0), -90.0, 28.0
+
+
+def require(path):
+    """End the program unless a file is the policy of a NAO that it can run."""
+    with open(path, "rb") as file:
+        arrays = dict(np.load(path)) if zipfile.is_zipfile(file) else {}
+    if "robot_type" not in arrays:
+        sys.exit(f"no run: {path}: not the policy.npz of a NAO, which `naosprint export` writes")
+    if "onboard_landmarks" in arrays:
+        sys.exit(f"no run: {path}: observes what the robot senses, not where it is; use the exported skill")
 
 
 class PolicyAgent:
@@ -107,6 +118,7 @@ def enter(agent, robot_type):
 
 
 def main(path, host="127.0.0.1", agent_port=3100, monitor_port=3200):
+    require(path)
     runner = PolicyAgent(path)
     agent, monitor = (socket.create_connection((host, int(port))) for port in (agent_port, monitor_port))
     message, side = enter(agent, runner.robot_type)
@@ -141,7 +153,9 @@ def main(path, host="127.0.0.1", agent_port=3100, monitor_port=3200):
 
 
 if __name__ == "__main__":
+    if not 2 <= len(sys.argv) <= 5 or sys.argv[1] in ("-h", "--help"):
+        sys.exit(__doc__)
     try:
         main(*sys.argv[1:])
-    except OSError as error:
+    except (OSError, ValueError) as error:
         sys.exit(f"no run: {error}")

@@ -7,12 +7,22 @@ import re
 import select
 import socket
 import sys
+import zipfile
 
 import numpy as np
 
 START_X, LENGTH = -14.0, 28.0
 NOISE_DEG = 2.0  # a symmetric policy does not run from a perfectly symmetric start pose
 BEAM_MODES = "BeforeKickOff", "Goal_Left", "Goal_Right"
+
+
+def read(path):
+    """Return the arrays of a policy; end the program if they are not those of a T1's or K1's."""
+    with open(path, "rb") as file:
+        arrays = dict(np.load(path)) if zipfile.is_zipfile(file) else {}
+    if "model" not in arrays:
+        sys.exit(f"no run: {path}: not the policy.npz of a T1 or K1, which `naosprint export` writes")
+    return arrays
 
 
 class PolicyAgent:
@@ -82,8 +92,6 @@ def receive(port):
 
 def enter(host, agent_port, monitor_port, model, team, number):
     """Enter the field and put the ball aside; return both connections, and 1.0 on the left side, -1.0 on the right."""
-    if model is None:
-        sys.exit("no run: the policy is not one of a T1 or K1")
     if not re.fullmatch(r"[^\s()]+", team):
         sys.exit(f"no run: team {team!r}: a name without spaces and parentheses is needed")
     monitor, agent = (socket.create_connection((host, int(port))) for port in (monitor_port, agent_port))
@@ -108,8 +116,14 @@ def require_start(runner, x, y):
         )
 
 
+def require_seen(runner):
+    """End the program if the policy observes what this program does not compute, such as a command or a ball."""
+    if unseen := {name.partition("_ago")[0] for name in runner.observation_names} - runner.seen().keys():
+        sys.exit(f"no run: the policy observes {', '.join(sorted(unseen)[:3])}, which this program does not compute")
+
+
 def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="naosprint", number=2, lane=0.0):
-    agent, monitor, side = enter(host, agent_port, monitor_port, np.load(path).get("model"), team, number)
+    agent, monitor, side = enter(host, agent_port, monitor_port, read(path)["model"], team, number)
     runner = PolicyAgent(path, float(lane), side)
 
     def step(targets, beam=""):
@@ -124,6 +138,7 @@ def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="nao
     monitor.shutdown(socket.SHUT_WR)  # closed with unread frames, it would be reset, which kills the server
     require_start(runner, START_X, runner.lane)
     runner.begin()
+    require_seen(runner)
     start, lowest = runner.place[0], 0.6 * runner.standing_height_m
     while runner.place[2] > lowest and runner.place[0] < start + LENGTH and runner.cycles < 3000:
         step(runner.act(runner.observe()))
@@ -133,7 +148,9 @@ def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="nao
 
 
 if __name__ == "__main__":
+    if not 2 <= len(sys.argv) <= 8 or sys.argv[1] in ("-h", "--help"):
+        sys.exit(__doc__)
     try:
         main(*sys.argv[1:])
-    except OSError as error:
+    except (OSError, ValueError) as error:
         sys.exit(f"no run: {error}")

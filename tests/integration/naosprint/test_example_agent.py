@@ -214,7 +214,7 @@ def test_a_run_that_did_not_happen_on_rcssservermj_is_one_sentence(tmp_path: Pat
 
 @pytest.mark.parametrize("example", ["run_policy_t1.py", "play_t1.py"])
 def test_a_run_in_a_play_mode_without_beams_is_one_sentence(example: str, tmp_path: Path) -> None:
-    _, path = exported("t1", tmp_path, 0.3)
+    _, path = exported("t1", tmp_path, 0.3, "sprint1" if example == AGENT.name else "velocity")
     with serving(REALTIME) as address:
         # which stays until the run is over: a connection that ends may end the server
         with socket.create_connection((address.host, address.monitor_port)) as monitor:

@@ -10,13 +10,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import naopolicies
 import numpy as np
 import pytest
 from naosim import robots
 from naosim.robots import Robot
 from naosim.simulator import Starts
 from naospec import TrainingSpec
-from naosprint.export import describe, policy_arrays
+from naosprint.export import describe, export_policy, policy_arrays
 from naosprint.rl.checkpoint import Manifest
 from naosprint.rl.policy import NetworkPolicy
 from naosprint.tasks.environment import Environment, open_environment
@@ -152,18 +153,9 @@ def test_earlier_steps_are_what_the_agent_observed_then(tmp_path: Path) -> None:
     environment.close()
 
 
-def test_the_policy_of_another_robot_is_refused_in_a_sentence(tmp_path: Path) -> None:
-    np.savez(tmp_path / "policy.npz", weights=np.zeros(1))
-    for program in (AGENT, AGENT.with_name("play_t1.py")):
-        done = subprocess.run(
-            [sys.executable, str(program), str(tmp_path / "policy.npz")], capture_output=True, text=True, check=False
-        )
-        assert (done.returncode, done.stderr) == (1, "no run: the policy is not one of a T1 or K1\n")
-
-
 def test_the_agent_is_short_and_needs_numpy_alone() -> None:
     """No module of the project, and only NumPy besides the standard library."""
-    assert len(AGENT.read_text(encoding="utf-8").splitlines()) < 140
+    assert len(AGENT.read_text(encoding="utf-8").splitlines()) < 160
     program = (
         "import sys, runpy\n"
         f"runpy.run_path({str(AGENT)!r}, run_name='agent')\n"
@@ -171,3 +163,33 @@ def test_the_agent_is_short_and_needs_numpy_alone() -> None:
         "assert not roots & {'naosim', 'naosprint', 'naospec', 'torch', 'mujoco', 'rcsssmj'}, roots\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+@pytest.mark.parametrize(
+    ("program", "policy", "words"),
+    [
+        ("run_policy.py", "t1-sprint", "not the policy.npz of a NAO"),
+        ("run_policy.py", "sprint-blind", "observes what the robot senses"),
+        ("run_policy_t1.py", "sprint", "not the policy.npz of a T1 or K1"),
+        ("play_t1.py", "t1-sprint", "follows no commands"),
+    ],
+)
+def test_a_policy_that_a_program_cannot_run_is_refused(program: str, policy: str, words: str, tmp_path: Path) -> None:
+    """With one line, before it connects to a server; a file of another kind, too."""
+    export_policy(naopolicies.folder(policy), tmp_path, ["numpy"])
+    for file, line in (("policy.npz", words), ("policy.json", "not the policy.npz of a")):
+        command = [sys.executable, str(AGENT.with_name(program)), str(tmp_path / file)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 1
+        assert done.stderr.startswith("no run: ") and line in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_a_policy_that_observes_more_is_refused(tmp_path: Path) -> None:
+    """Before the robot moves, not by a KeyError in its first step."""
+    export_policy(naopolicies.folder("t1-run"), tmp_path, ["numpy"])
+    agent = load_agent()
+    runner = agent.PolicyAgent(tmp_path / "policy.npz")
+    runner.rotation, runner.gyro, runner.joints = np.eye(3), np.zeros(3), np.zeros((2, len(runner.joint_names)))
+    runner.begin()
+    with pytest.raises(SystemExit, match="observes command_forward, command_sideways, command_turn, which this"):
+        agent.require_seen(runner)
