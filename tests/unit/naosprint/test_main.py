@@ -354,6 +354,20 @@ def test_another_charset_changes_no_file(checkpoint: Path, tmp_path: Path) -> No
         assert (tmp_path / locale / "out/report.html").read_text(encoding="utf-8")
 
 
+def test_a_reader_that_ends_early_is_no_error() -> None:
+    """As of `naosprint policies | head -1`; nor is a closed standard output."""
+    command = [sys.executable, "-P", "-m", "naosprint", "policies"]
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    finally:
+        os.close(writer)
+    assert (ended.returncode, ended.stderr) == (128 + signal.SIGPIPE, "")
+    closed = subprocess.run(["sh", "-c", '"$@" >&-', "sh", *command], capture_output=True, text=True, check=False)
+    assert (closed.returncode, closed.stderr) == (0, "")
+
+
 def test_what_a_training_is_resumed_with_has_to_be_what_it_was(
     checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import signal
 import sys
 import threading
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 
 EXIT_USAGE = 2
+EXIT_PIPE = 128 + signal.SIGPIPE
+"""As of other programs whose reader has ended, such as ``head``."""
 MAX_THREADS, MAX_FILM_S = 256, 3600.0
 """Threads of the simulator, and seconds of a film, at most."""
 
@@ -43,6 +46,8 @@ _REPLAY_FIELDS = {"task", "seed", "simulator", "start_noise_deg"}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     quiet_openmp()
+    if sys.stdout is None:  # closed, as by `>&-`
+        sys.stdout = io.StringIO()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # what the terminal's character set has not
@@ -54,7 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         written = getattr(options, "output", None) or getattr(options, "workdir", None) or Path.cwd()
         with _interruptible(), named_errors(written):
             options.given = _given(options)
-            return run(options)
+            status = run(options)
+        sys.stdout.flush()  # what cannot be written there is no error of a file
+        return status
     except KeyboardInterrupt as error:
         number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
         sys.stderr.write(f"stopped by {number.name}; no unfinished file is left\n")
@@ -67,6 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except FlagError as error:
         sys.stderr.write(f"{error}\n")
         return EXIT_USAGE
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of it, when Python ends
+        return EXIT_PIPE
     except EXPECTED_ERRORS as error:
         sys.stderr.write(f"error: {error}\n")
         return EXIT_FAILURE
