@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import httpx
 import naopolicies
 import pytest
 from naoctl.cli import main
+from naoctl.context import Context
 from naojobs import records
 from naojobs.leases import Lease
 from naospec import EvaluationSpec, TrainingSpec
@@ -132,6 +134,19 @@ def test_a_policy_from_registration_to_deletion(
     assert "Deleted fast with all" in naoctl("policies", "delete", "fast", "--yes")
     assert "no policy 'fast'" in naoctl("policies", "show", "fast", code=5)
     shutil.rmtree(tmp_path / "fast-1")
+
+
+def test_a_wait_for_results_states_what_it_waits_for(
+    naoctl: Callable[..., str], trained: Lease, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No worker is there; the wait ends with its first note, as by Ctrl-C."""
+
+    def note(context: Context, text: str) -> None:
+        sys.stderr.write(text)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Context, "note", note)
+    assert "Waiting: no worker" in naoctl("eval", trained.job_id, "--simulator", "server", code=130)
 
 
 def test_a_job_is_meant_before_a_policy_of_its_name(

@@ -463,7 +463,7 @@ def evaluate(
         asked = hand_in(client, f"/jobs/{found['id']}/evaluations", body, key)
         if wait:
             try:
-                asked = await_evaluation(client, asked)
+                asked = await_evaluation(client, asked, context.note)
             except KeyboardInterrupt:
                 _interrupted(client, asked)
     if as_json:
@@ -517,9 +517,15 @@ def _interrupted(client: Client, evaluation: dict[str, Any]) -> NoReturn:
     )
 
 
-def await_evaluation(client: Client, evaluation: dict[str, Any]) -> dict[str, Any]:
-    """Return an evaluation once it has ended."""
+def await_evaluation(
+    client: Client, evaluation: dict[str, Any], note: Callable[[str], None] = lambda text: None
+) -> dict[str, Any]:
+    """Return an evaluation once it has ended; note why it waits for a worker, if it does."""
+    noted = None
     while evaluation["state"] not in ENDED:
+        if evaluation["waiting_reason"] not in (None, noted):
+            noted = evaluation["waiting_reason"]
+            note(f"Waiting: {waiting_text(evaluation)}")
         time.sleep(POLL_S)
         evaluation = client.get(f"/evaluations/{evaluation['id']}")
     return evaluation

@@ -109,10 +109,13 @@ def play(
 
 
 def _follow(context: Context, client: Client, match_id: str, *, quiet: bool) -> None:
-    """Wait until a match has ended; note each game that is over."""
-    seen = 0
+    """Wait until a match has ended; note why it waits for a worker, and each game that is over."""
+    seen, noted = 0, None
     while True:
         match = client.get(f"/matches/{match_id}")
+        if match["waiting_reason"] not in (None, noted):
+            noted = match["waiting_reason"]
+            context.note(f"Waiting: {waiting_text(match)}")
         for game in match["finished"][seen:] if not quiet else ():
             context.note(f"game {game['number']}: {game['goals'][0]}:{game['goals'][1]}")
         seen = len(match["finished"])
