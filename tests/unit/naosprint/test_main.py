@@ -354,6 +354,21 @@ def test_another_charset_changes_no_file(checkpoint: Path, tmp_path: Path) -> No
         assert (tmp_path / locale / "out/report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["examine", "sprint", "--episodes", "1", "--only", "motion"], "--only: motion: cannot be examined"),
+        (["handover", "--only", "getup", "--transitions", "1", "--engine", "fast"], "--only: getup: no transition"),
+    ],
+)
+def test_a_choice_of_which_nothing_is_left_is_refused(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It printed an empty table, or nothing, and succeeded."""
+    assert main(arguments) == 1
+    assert words in capsys.readouterr().err
+
+
 def test_a_reader_that_ends_early_is_no_error() -> None:
     """As of `naosprint policies | head -1`; nor is a closed standard output."""
     command = [sys.executable, "-P", "-m", "naosprint", "policies"]

@@ -215,7 +215,10 @@ def examine(options: argparse.Namespace) -> int:
             tell=lambda text: show(description=text),
         )
     console = Console()
-    for table in examination.tables(found.to_dict()):
+    tables = list(examination.tables(found.to_dict()))
+    if not tables:
+        raise ValueError(f"--only: {options.only}: cannot be examined in the simulator of this policy")
+    for table in tables:
         console.print(table)
     if options.output is not None:
         from matplotlib import rc_context
@@ -264,6 +267,8 @@ def handover(options: argparse.Namespace) -> int:
                 tell=lambda text: show(description=text),
             )
         )
+    if not cells:
+        raise ValueError(f"--only: {options.only}: no transition between these; name a skill that walks, too")
     header, lines = transitions.table(cells)
     table = Table(*header, box=None, pad_edge=False, header_style="bold", title="Upright and on command, %")
     for line in lines:
