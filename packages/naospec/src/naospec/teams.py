@@ -9,8 +9,8 @@ TEAM_FILE = "team.json"
 EXAMPLE = "example"
 """Name of the team of the example player with bundled skills."""
 SKILLS = {
-    "walk": ("velocity", "t1-run"),
-    "kick": ("kick", "t1-kick"),
+    "walk": ("velocity", "t1-run-firm"),
+    "kick": ("kick", "t1-kick-firm"),
     "keep": ("block", "t1-keeper"),
     "getup": ("getup", "t1-getup-robust"),
 }

@@ -74,7 +74,7 @@ def test_a_search_turns_all_the_way_round(player: Any) -> None:
         before = player.world.yaw
         pass_cycle(player, seen=False)
         turned += (player.world.yaw - before + np.pi) % (2 * np.pi) - np.pi
-    assert abs(turned) == pytest.approx(8.0, rel=1e-6)
+    assert abs(turned) == pytest.approx(16.0, rel=1e-6)
 
 
 def test_the_striker_comes_to_kick_from_everywhere(code: Any, player: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,6 +96,20 @@ def test_the_striker_comes_to_kick_from_everywhere(code: Any, player: Any, monke
         assert kicks, (ball, way, far)
         assert nearest > 0.35, (ball, way, far)
         assert abs(code.wrapped(kicks[0][0] - player.world.yaw)) < code.KICK_AIM
+
+
+def test_commands_stay_in_the_range_that_the_walker_was_trained_for(player: Any) -> None:
+    """Which is that of its training's settings; what is combined is shortened, and keeps its direction."""
+    walk = player.walk
+    assert (walk.command_low.tolist(), walk.command_high.tolist()) == ([-1.0, -1.0, -2.0], [3.0, 1.0, 2.0])
+    player.walk_at(1.0, -0.3, 0.5)
+    assert player.command.tolist() == [1.0, -0.3, 0.5]
+    player.walk_at(9.0, 0.0, 0.0)
+    assert player.command.tolist() == [3.0, 0.0, 0.0]
+    player.walk_at(-0.6, 0.8, 0.0)
+    assert player.command == pytest.approx([-0.6, 0.8, 0.0])
+    player.walk_at(3.0, -1.0, 2.0)
+    assert player.command == pytest.approx(np.array([3.0, -1.0, 2.0]) / np.sqrt(3.0))
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def test_a_malformed_team_is_refused_with_what_to_write(tmp_path: Path, content:
 
 def test_an_example_names_its_skills(tmp_path: Path) -> None:
     assert skills_of("example:walk=t1-run-robust")["walk"] == "t1-run-robust"
-    assert skills_of("example")["kick"] == "t1-kick"
+    assert skills_of("example")["kick"] == "t1-kick-firm"
     for wrong in ("example:fly=t1-run", "example:walk"):
         with pytest.raises(ValueError, match="expected one of walk, kick, keep, getup"):
             skills_of(wrong)

@@ -10,6 +10,7 @@ from naosim.robots.actuation import Actuation
 from naosim.simulator import STEP_S
 
 from naosprint.export import booster, nao
+from naosprint.tasks.commands import CommandSettings
 from naosprint.tasks.kick_settings import KickSettings
 
 if TYPE_CHECKING:
@@ -68,6 +69,9 @@ def policy_arrays(policy: NetworkPolicy, manifest: Manifest) -> dict[str, AnyArr
     task = manifest.stage_spec.task
     if isinstance(task, KickSettings):
         arrays.update(booster.kick_arrays(task))
+    if isinstance(task, CommandSettings):
+        high = np.array([task.forward_max_mps, task.sideways_max_mps, task.turn_max_rad_s])
+        arrays["command_low"], arrays["command_high"] = np.array([task.forward_min_mps, *-high[1:]]), high
     return arrays
 
 

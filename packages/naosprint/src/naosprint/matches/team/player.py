@@ -35,13 +35,16 @@ HOMES = {
 }
 FASTEST_MPS, KICKED_MPS = 12.0, 1.5  # speed of a ball that no referee moves, and change of speed by a kick
 LYING_M, UPRIGHT = 0.45, 0.6  # height of the torso, upward part of its z axis
-KICK_AHEAD_M, KICK_ASIDE_M, KICK_AIM = (0.38, 0.85), 0.2, np.radians(25)
+KICK_AHEAD_M, KICK_ASIDE_M, KICK_AIM, NEAR_AIM = (0.38, 0.85), 0.2, np.radians(15), np.radians(25)
 KICK_CYCLES, STAND_CYCLES, SEARCH_S = 130, 15, 1.0
 KEEPER_M, KEEP_CYCLES, CALM_CYCLES = 1.0, 400, 50  # how far before its goal the keeper waits
 SHOT_MPS, SHOT_S, WIDE_M = 1.0, 4.0, 2.5  # a ball as fast, which is at the goal line as soon and no farther aside
 AT_GOAL_M, FACES = (2.0, 2.5), np.radians(45)  # the keeper's place and direction in which it can keep
 BEHIND_M = 0.75  # how far behind the ball the striker turns to it
 AROUND, AROUND_STEP = 0.35, 0.9  # this far from right behind it, the striker walks around it, by so much at a time
+BRAKE_MPS2, BRAKE_BEFORE_M = 1.5, 0.6  # how the walker slows down, and how far before a point it is done
+SIDESTEP_M, SIDESTEP_M_PER_RAD = 0.7, 0.5  # from here on it walks in any direction while it turns, the earlier the more
+WALK_PER_S, TURN_PER_S, STEP_BACK_MPS = 1.5, 2.5, 0.4  # speeds for distances and angles to go, and backward
 LOOK_DOWN, LOOK_AHEAD = 0.6, 0.25  # pitch of the head
 TOUCHED = 200.0  # cost of touching the ball twice
 SAY_CYCLES, SAYS = 20, struct.Struct("<Bhhhhb")  # who, own place and that of the ball in cm, age of the latter in 0.1 s
@@ -313,7 +316,7 @@ class Player:
             return
         # where the robot is around the ball: 0 behind it, seen in the direction of the aim
         around = wrapped(angle_of(-way) - aim - np.pi)
-        if abs(around) < AROUND and abs(off) < KICK_AIM and KICK_AHEAD_M[0] < ahead < 1.2:
+        if abs(around) < AROUND and abs(off) < NEAR_AIM and KICK_AHEAD_M[0] < ahead < 1.2:
             self.go(ball - 0.45 * turned(aim), aim, slowest=0.35)
         else:  # around the ball by a part of the way at a time
             rest = np.sign(around) * max(0.0, abs(around) - AROUND_STEP)
@@ -370,25 +373,33 @@ class Player:
             bearing = wrapped(angle_of(self.world.ball - self.world.position[:2]) - self.world.yaw)
             self.turn = 1.0 if bearing >= 0 else -1.0
         self.searched = self.cycles
-        self.command = np.array([0.0, 0.0, self.turn])
+        self.walk_at(0.0, 0.0, np.copysign(np.inf, self.turn))
 
     # --- walking --------------------------------------------------------------------------------------------------
 
-    def go(self, target, heading=None, near=0.12, slowest=-0.4):
+    def go(self, target, heading=None, near=0.12, slowest=-STEP_BACK_MPS):
         """Walk to a point: turned ahead from afar, and near it in any direction with the given heading."""
         world = self.world
         way = self.around(target - world.position[:2])
         distance = np.hypot(*way)
         bearing = wrapped(angle_of(way) - world.yaw)
-        if distance < near and heading is not None and abs(wrapped(heading - world.yaw)) < 0.3:
+        off = 0.0 if heading is None else wrapped(heading - world.yaw)
+        if distance < near and heading is not None and abs(off) < 0.3:
             self.command = np.zeros(3)
-        elif distance > 1.0 or heading is None:
-            speed = min(2.2, max(0.5, 0.9 * distance)) * max(0.0, np.cos(bearing)) ** 2
-            self.command = np.array([speed, 0.0, np.clip(1.5 * bearing, -1.0, 1.0)])
+        elif heading is None or distance > SIDESTEP_M + SIDESTEP_M_PER_RAD * abs(off):
+            speed = max(0.5, np.sqrt(2 * BRAKE_MPS2 * max(0.0, distance - BRAKE_BEFORE_M)))
+            self.walk_at(speed * max(0.0, np.cos(bearing)) ** 2, 0.0, TURN_PER_S * bearing)
         else:
             ahead, aside = self.along(world.yaw, way)
-            turn = np.clip(1.5 * wrapped(heading - world.yaw), -1.0, 1.0)
-            self.command = np.array([np.clip(1.2 * ahead, slowest, 0.9), np.clip(1.2 * aside, -0.45, 0.45), turn])
+            self.walk_at(max(WALK_PER_S * ahead, slowest), WALK_PER_S * aside, TURN_PER_S * off)
+
+    def walk_at(self, forward, sideways, turn):
+        """Walk at a velocity in m/s and rad/s, or at the part of it that lies in the walker's range, an ellipsoid."""
+        velocity = np.array([forward, sideways, turn])
+        low, high = np.minimum(self.walk.command_low, (-STEP_BACK_MPS, 0.0, 0.0)), self.walk.command_high
+        velocity = np.clip(velocity, low, high)
+        share = np.linalg.norm(velocity / np.maximum(np.where(velocity < 0.0, -low, high), 1e-6))
+        self.command = velocity / max(1.0, share)
 
     def around(self, way):
         """Return a way that passes by the first robot that stands in it."""
