@@ -327,6 +327,39 @@ def test_a_training_whose_worker_died_requeues_its_job_though_the_store_is_silen
     assert max(int(path.name) for path in service.folder.glob(f"work/spool/*/*/{job_id}/1/*")) == job.progress_step
 
 
+@pytest.mark.parametrize(("answers", "state"), [(True, WorkState.SUCCEEDED), (False, WorkState.QUEUED)])
+def test_an_evaluation_whose_worker_died_is_settled_by_its_own_process(
+    proxied_service: Service, store_proxy: StoreProxy, answers: bool, state: WorkState
+) -> None:
+    """It was storing its result: it has succeeded if it could, and waits for another worker at once if not."""
+    service = proxied_service
+    worker = service.start_worker(NAOSPRINT_LEASE_S="60")
+    job_id = service.submit(total_steps=ROLLOUT, evaluate=False)
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    spec = EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100)
+    asked = request_evaluation(service.sessions, job_id, spec=spec).id
+    service.wake_up(asked)
+
+    def row() -> Evaluation:
+        with service.sessions() as session:
+            return session.get_one(Evaluation, asked)
+
+    service.until(lambda: row().state is WorkState.RUNNING, what="for the evaluation")
+    (evaluator,) = worker.trainings()
+    died = None if answers else f"worker {row().lease_owner} died"
+    store_proxy.answers.clear()
+    try:
+        service.until(lambda: [*service.folder.glob("work/*/eval*/evaluation/evaluation.json")], what="for its result")
+        worker.process.kill()
+        worker.process.wait()
+        if answers:
+            store_proxy.answers.set()
+        psutil.wait_procs([evaluator], timeout=60)
+    finally:
+        store_proxy.answers.set()
+    assert (row().state, row().error) == (state, died)
+
+
 def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tmp_path: Path) -> None:
     """The training continues until its share of the disk is used, then waits; a killed attempt loses no checkpoint."""
     worker = service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5", NAOSPRINT_WORKER_SPOOL_MB="1")

@@ -135,7 +135,7 @@ GUARDED = """
 import os, pathlib, signal, subprocess, sys, threading
 from naosprint_worker.guard import watch_parent
 lost = threading.Event()
-watch_parent(lost.set, grace_s=0.2)
+watch_parent(lost.set, lambda: pathlib.Path("last").touch(), grace_s=0.2)
 inner = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read(); import time; time.sleep(600)"])
 pathlib.Path("ready").write_text(f"{os.getpid()} {inner.pid}")
 lost.wait()
@@ -155,3 +155,4 @@ def test_child_and_its_children_end_when_the_parent_is_killed(tmp_path: Path, re
     assert wait_gone(leader)
     assert wait_gone(inner)
     assert (tmp_path / "noticed").read_text() == "yes"
+    assert (tmp_path / "last").exists()

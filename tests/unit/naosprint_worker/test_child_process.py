@@ -25,7 +25,6 @@ from sqlalchemy.exc import OperationalError
 @pytest.mark.parametrize(
     ("error", "code", "kind"),
     [
-        (StopRequestedError(), TrainerExitCode.STOPPED, "stopped"),
         (LeaseLostError("gone"), TrainerExitCode.FENCED, "lease_lost"),
         (TrainingDivergedError("loss is nan"), TrainerExitCode.PERMANENT, "diverged"),
         (CheckpointError("damaged"), TrainerExitCode.PERMANENT, "checkpoint"),

@@ -21,12 +21,12 @@ from typing import TypeVar
 
 from naojobs import outcomes
 from naojobs.database import Sessions, make_sessions
-from naojobs.errors import LeaseLostError
-from naojobs.leases import Lease
+from naojobs.errors import ConflictError, LeaseLostError
 from naojobs.store import ArtifactStore, CorruptArtifactError, MissingArtifactError, StoreError, StoreManifest
 from naosim.launchers import LauncherUnavailableError
 from naosim.simulator import ServerLostError, ServersUnavailableError
 
+from naosprint_worker.assignment import read_lease
 from naosprint_worker.child import TRACEBACK_SIGNAL
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
@@ -187,11 +187,17 @@ class Services:
         with self.progress.waiting():
             return retry(call, what=what, transient=DATABASE_ERRORS, patience_s=self.settings.worker_patience_s)
 
-    def requeue_if_orphaned(self, lease: Lease) -> None:
-        """Requeue the work if this process's worker has died; otherwise it would wait until the lease expires."""
-        if self.stop.orphaned:
-            with contextlib.suppress(LeaseLostError, *DATABASE_ERRORS):
-                outcomes.lose(self.sessions, lease, f"worker {lease.owner} died")
+
+def settle_orphan(sessions: Sessions, workdir: Path, outcome: Outcome | None = None) -> None:
+    """Settle the work of a child whose worker has died; otherwise it would wait until the lease expires.
+
+    It has succeeded if the child has finished and all is stored, and is queued again otherwise.
+    """
+    with contextlib.suppress(LeaseLostError, ConflictError, *DATABASE_ERRORS):
+        lease = read_lease(workdir)
+        finished = outcome is not None and outcome.code is TrainerExitCode.FINISHED
+        if not finished or outcomes.succeed(sessions, lease) is not None:
+            outcomes.lose(sessions, lease, f"worker {lease.owner} died")
 
 
 def run_child(work: Callable[[Services], Outcome], *, oom_score: int = TRAINER_OOM_SCORE) -> int:
@@ -206,20 +212,25 @@ def run_child(work: Callable[[Services], Outcome], *, oom_score: int = TRAINER_O
     faulthandler.register(TRACEBACK_SIGNAL)
     stop = StopRequest()
     stop.install()
-    watch_parent(stop.worker_died, grace_s=settings.worker_orphan_grace_s)
     prefer_as_oom_victim(oom_score)
     with contextlib.suppress(OSError):
         os.nice(settings.worker_nice)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     engine = open_engine(settings, pool_size=2, application_name="naosprint-child")
+    sessions = make_sessions(engine)
+    grace_s = settings.worker_orphan_grace_s
+    watch_parent(stop.worker_died, lambda: settle_orphan(sessions, workdir), grace_s=grace_s)
     try:
         store = ArtifactStore.from_settings(settings)
-        outcome = work(Services(settings, make_sessions(engine), store, workdir, stop, Progress(workdir)))
+        outcome = work(Services(settings, sessions, store, workdir, stop, Progress(workdir)))
+    except StopRequestedError:
+        outcome = Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
     except BaseException as error:
         outcome = classify(error, workdir)
         logger.error("%s: %s", outcome.kind, outcome.message, exc_info=error)
-    finally:
-        engine.dispose()
+    if stop.orphaned:
+        settle_orphan(sessions, workdir, outcome)
+    engine.dispose()
     outcome.leave(workdir)
     return int(outcome.code)
 
@@ -232,8 +243,6 @@ def classify(error: BaseException, workdir: Path) -> Outcome:
     if not isinstance(error, Exception):
         message = f"a task, learner or library ended the process: {describe(error)}"
         return Outcome(TrainerExitCode.PERMANENT, "exit", message, text)
-    if isinstance(error, StopRequestedError):
-        return Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
     if isinstance(error, LeaseLostError):
         return Outcome(TrainerExitCode.FENCED, "lease_lost", describe(error))
     if _tells_of_full_disk(error, workdir):

@@ -14,7 +14,7 @@ from naojobs.store import StoreManifest, evaluation_key, new_nonce
 from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import read_assignment
-from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
+from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, run_child
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import Outcome, TrainerExitCode
 from naosprint_worker.report import add_report
@@ -23,14 +23,6 @@ from naosprint_worker.report import add_report
 def work(services: Services) -> Outcome:
     """Run the assignment in the working folder."""
     claim = read_assignment(EvaluationClaim, services.workdir)
-    try:
-        return _evaluate(services, claim)
-    except StopRequestedError:
-        services.requeue_if_orphaned(claim.lease)
-        return Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
-
-
-def _evaluate(services: Services, claim: EvaluationClaim) -> Outcome:
     lease, what = claim.lease, "recording the evaluation"
     checkpoint, result = services.workdir / "checkpoint", services.workdir / "evaluation"
     with services.stop.interruptible():

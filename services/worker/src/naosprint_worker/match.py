@@ -31,7 +31,7 @@ from naosprint.matches.teams import Team, read_team, write_example
 from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import read_assignment
-from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
+from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.outcome import Outcome, TrainerExitCode
 from naosprint_worker.spool import link_or_copy
@@ -42,8 +42,7 @@ def work(services: Services) -> Outcome:
     claim = read_assignment(MatchClaim, services.workdir)
     try:
         _Match(services, claim).play()
-    except (StopRequestedError, MatchStoppedError):
-        services.requeue_if_orphaned(claim.lease)
+    except MatchStoppedError:
         return Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
     except TeamFailedError as error:
         return Outcome(TrainerExitCode.PERMANENT, "team", str(error))

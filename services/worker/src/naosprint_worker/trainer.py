@@ -88,13 +88,7 @@ class Attempt:
     def run(self) -> Outcome:
         """Complete the job; return how it ended."""
         try:
-            try:
-                outcome = self._run()
-            except StopRequestedError:
-                outcome = Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
-            if outcome.code is TrainerExitCode.STOPPED:
-                self._services.requeue_if_orphaned(self._lease)  # first: an upload may not end within an orphan's time
-            return outcome
+            return self._run()
         finally:
             self._recorder.abandon()
             self._spool.close()
