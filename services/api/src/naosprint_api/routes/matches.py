@@ -219,7 +219,7 @@ def list_teams(
     responses={**_CONTROL, **responses(413)},
     openapi_extra={"requestBody": {"required": True, "content": {"application/octet-stream": _ARCHIVE}}},
 )
-def upload_team(
+async def upload_team(
     name: TeamName,
     principal: Admin,
     service: ServiceDep,
@@ -230,11 +230,11 @@ def upload_team(
 
     Its command runs on workers, so this needs scope admin.
     """
-    owner = owner or principal.owner
-    team = teams.upload_team(
-        service.sessions, service.store, owner=owner, name=name, data=data, limits=service.settings.limits
+    owner, limits = owner or principal.owner, service.settings.limits
+    upload = partial(
+        teams.upload_team, service.sessions, service.store, owner=owner, name=name, data=data, limits=limits
     )
-    return TeamPublic.model_validate(team)
+    return TeamPublic.model_validate(await to_thread.run_sync(upload, limiter=service.store_threads))
 
 
 @router.delete("/teams/{name}", status_code=204, responses=_CONTROL)
