@@ -97,6 +97,29 @@ def test_the_working_folders_of_workers_that_are_gone_are_removed(tmp_path: Path
     assert folder.exists() is stays
 
 
+def test_the_working_folder_of_a_worker_elsewhere_is_removed_once_nothing_in_it_is_touched(tmp_path: Path) -> None:
+    """Its container was made again on the same volume. Another that lives touches its files."""
+    attempt = tmp_path / "host-1-2" / "job_x-1"
+    attempt.mkdir(parents=True)
+    (attempt.parent / OWNER_FILE).write_text(str(elsewhere()), encoding="utf-8")
+    (tmp_path / "own").mkdir()
+    own = tmp_path / "own" / OWNER_FILE
+    own.write_text(str(ProcessIdentity.current()), encoding="utf-8")
+    os.utime(own, (0, 0))
+    patient, sweeper = OrphanSweeper(tmp_path, grace_s=0), OrphanSweeper(tmp_path, grace_s=0, untouched_s=0)
+    for seconds, path in ((9, attempt.parent / OWNER_FILE), (7, attempt / "progress"), (5, attempt / "progress")):
+        path.touch()
+        os.utime(path, (seconds, seconds))  # by a clock that is set back
+        for each in (patient, sweeper):
+            each.sweep()
+        assert attempt.exists()
+    patient.sweep()
+    assert attempt.exists()
+    sweeper.sweep()
+    assert not attempt.parent.exists()
+    assert own.stat().st_mtime > 0
+
+
 def test_the_working_folder_of_a_dead_worker_stays_as_long_as_its_orphans(tmp_path: Path) -> None:
     """A training saves its last checkpoint there, and files that it writes after the removal would stay for ever."""
     folder, owner = tmp_path / "host-1-2", str(dead_owner())

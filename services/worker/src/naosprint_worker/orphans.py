@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import psutil
@@ -18,7 +18,9 @@ OWNER_VARIABLE = "NAOSPRINT_CHILD_OF"
 FOLDER_VARIABLE = "NAOSPRINT_CHILD_IN"
 """Environment variable of a child that contains the folder of its service's workers on this host."""
 OWNER_FILE = "owner"
-"""File in a worker's working folder that contains its identity."""
+"""File in a worker's working folder that contains its identity; the worker touches it as long as it lives."""
+UNTOUCHED_S = 3600.0
+"""Seconds after which a worker that cannot be seen from here, and touches nothing in its folder, is taken for gone."""
 
 
 def child_marks(folder: Path) -> dict[str, str]:
@@ -32,12 +34,17 @@ class OrphanSweeper:
     Only processes of this user that a worker on ``folder`` has started are considered, not those of other services on
     the host, and only once they have been seen orphaned for ``grace_s`` seconds: a child that notices by itself needs
     this time for a last checkpoint.
+
+    A worker of another host or container cannot be seen from here, for example one in a container that was made again
+    on the same volume. It has gone if nothing was touched in its folder for ``untouched_s`` seconds of this process.
     """
 
-    def __init__(self, folder: Path, *, grace_s: float) -> None:
+    def __init__(self, folder: Path, *, grace_s: float, untouched_s: float = UNTOUCHED_S) -> None:
         """Start without known orphans."""
         self._folder = folder.resolve()
-        self._grace_s = grace_s
+        self._grace_s, self._untouched_s = grace_s, untouched_s
+        self._touched: dict[Path, tuple[Sequence[int], float]] = {}
+        """By working folder, the times of its files, and since when these are known."""
         self._first_seen: dict[ProcessIdentity, float] = {}
 
     def sweep(self) -> list[int]:
@@ -75,9 +82,24 @@ class OrphanSweeper:
     def _left_folders(self) -> list[tuple[Path, ProcessIdentity | None]]:
         """Return the working folders of workers that are gone, with their owners; a power cut may empty the file."""
         left = []
+        known, self._touched = self._touched, {}
         for mark in self._folder.glob(f"*/{OWNER_FILE}"):
             with contextlib.suppress(OSError):
                 owner = ProcessIdentity.parse(mark.read_text(encoding="utf-8", errors="replace"))
-                if owner is None or owner.is_gone():
+                if owner == ProcessIdentity.current():
+                    os.utime(mark)
+                elif owner is None or owner.is_gone() or self._untouched(mark.parent, known):
                     left.append((mark.parent, owner))
         return left
+
+    def _untouched(self, folder: Path, known: Mapping[Path, tuple[Sequence[int], float]]) -> bool:
+        """Return whether nothing in a worker's folder, or in those of its attempts, has been touched for long.
+
+        It has passed by this process's clock, so that no clock that is set counts.
+        """
+        now = time.monotonic()
+        touched = sorted(path.stat().st_mtime_ns for path in (*folder.glob("*"), *folder.glob("*/*")))
+        before, since = known.get(folder, (None, now))
+        same = touched == before
+        self._touched[folder] = touched, since if same else now
+        return same and now - since >= self._untouched_s
