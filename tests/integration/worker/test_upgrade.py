@@ -27,7 +27,7 @@ from sqlalchemy import select, text
 from tests.integration.conftest import PG_PROGRAMS
 from tests.integration.writes import request_evaluation
 
-from .conftest import MIGRATIONS, Broker, Postgres, Service, opened
+from .conftest import MIGRATIONS, ROLLOUT, Broker, Postgres, Service, opened
 
 RELEASE = Path(__file__).parent / "release"
 BEFORE = "0013"
@@ -125,3 +125,17 @@ def test_an_upgrade_that_would_lose_work_changes_nothing(before: Service) -> Non
     assert newer.returncode == 1
     assert newer.stderr.startswith("a newer version of naosprint has migrated this database (revision 9999")
     assert newer.stderr.count("\n") == 1
+
+
+def test_a_worker_of_another_version_claims_no_work(service: Service) -> None:
+    """It may be unable to read what waits, and work that it cannot read fails."""
+    with service.sessions.begin() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    worker = service.start_worker()
+    job_id = service.submit(evaluate=False, total_steps=ROLLOUT)
+    service.until(lambda: "this worker claims no work" in worker.output(), what="for the worker's reason")
+    assert service.job(job_id).state is WorkState.QUEUED
+    assert "Traceback" not in worker.output()
+    with service.sessions.begin() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = :own"), {"own": REVISION})
+    service.until_state(job_id, WorkState.SUCCEEDED)

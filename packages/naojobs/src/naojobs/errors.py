@@ -40,6 +40,10 @@ class NotFoundError(JobError):
     """Reference to a job, checkpoint or evaluation that does not exist."""
 
 
+class OtherSchemaError(JobError):
+    """Database of another version's schema."""
+
+
 class ConflictError(JobError):
     """Request that the current state does not allow; `field` names what to change."""
 

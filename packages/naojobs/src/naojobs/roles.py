@@ -34,7 +34,7 @@ class Role(StrEnum):
 
 
 RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
-    "alembic_version": {Role.API: "S"},
+    "alembic_version": {Role.API: "S", Role.WORKER: "S"},
     "backups": {Role.API: "SIUD", Role.WORKER: "S"},
     "checkpoints": {Role.API: "S", Role.WORKER: "SID"},
     "deliveries": {Role.API: "SIUD", Role.WORKER: "SI"},

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from naojobs import leases, registry, retention
 from naojobs.database import make_sessions
+from naojobs.errors import OtherSchemaError
 from naojobs.models import AnyWork, Evaluation, Job, Match, WorkKind
 from naojobs.notifications import Notifier, make_celery
 from naojobs.preemption import make_room
@@ -273,6 +274,8 @@ class WorkLoop:
                 duty()
             except DATABASE_ERRORS as error:
                 logger.warning("%s: the database did not answer: %s", name, describe(error, 200))
+            except OtherSchemaError as error:
+                logger.error("%s: %s", name, error)
             except Exception:
                 logger.exception("%s failed", name)
             wake.wait(period_s)
