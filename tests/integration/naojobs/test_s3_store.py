@@ -11,6 +11,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from naojobs.__main__ import STORE_PATIENCE_S
 from naojobs.settings import ServiceSettings
 from naojobs.store import ArtifactStore, CorruptArtifactError, MissingArtifactError, StoreError
 from obstore.store import S3Store
@@ -18,10 +19,10 @@ from obstore.store import S3Store
 from tests.integration.conftest import S3Server
 
 
-def open_store(server: S3Server, **changed: str) -> ArtifactStore:
+def open_store(server: S3Server, patience_s: float | None = None, **changed: str) -> ArtifactStore:
     fields = {name.removeprefix("NAOSPRINT_").lower(): value for name, value in server.environment.items()}
     settings = {"mode": "local", "database_url": "postgresql:///x", "broker_url": "redis://h", **fields, **changed}
-    return ArtifactStore.from_settings(ServiceSettings.model_validate(settings))
+    return ArtifactStore.from_settings(ServiceSettings.model_validate(settings), patience_s=patience_s)
 
 
 @pytest.fixture
@@ -93,6 +94,39 @@ def test_large_file_goes_in_one_request_that_may_take_longer_than_a_silent_store
         server.shutdown()
     assert requests[0] == ("PUT", "/bucket/jobs/j/x/large.npz", 80 << 20)
     assert [path for _, path, _ in requests[1:]] == ["/bucket/jobs/j/x/manifest.json"]
+
+
+def test_commands_repeat_what_a_full_store_refuses(s3_server: S3Server) -> None:
+    """A worker and the API have a patience of their own; they get an error of one line soon."""
+    refusals = 0
+
+    class Full(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            nonlocal refusals
+            refusals -= 1
+            body = b"content" if refusals < 0 else b"<Error><Code>XMinioStorageFull</Code></Error>"
+            self.send_response(200 if refusals < 0 else 507)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Last-Modified", "Thu, 01 Jan 2026 00:00:00 GMT")
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Full) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        endpoint = f"http://127.0.0.1:{server.server_port}"
+        try:
+            refusals = 7
+            assert open_store(s3_server, STORE_PATIENCE_S, s3_endpoint=endpoint).get_bytes("jobs/j/x") == b"content"
+            refusals = 7
+            with pytest.raises(StoreError, match=r"^get jobs/j/x: .* 507 .*XMinioStorageFull[^\n]*$"):
+                open_store(s3_server, s3_endpoint=endpoint).get_bytes("jobs/j/x")
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 def test_a_download_has_no_deadline_as_long_as_the_store_answers(store: ArtifactStore) -> None:

@@ -25,6 +25,9 @@ from naojobs.store import ArtifactStore, StoreError
 from naojobs.tokens import Scope, create_token, list_tokens, revoke
 from naojobs.upgrades import check_upgrade
 
+STORE_PATIENCE_S = 120.0
+"""Seconds for which a command repeats a request that the store refuses; a backup takes hours."""
+
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m naojobs", description="Administer the job service.")
@@ -124,7 +127,8 @@ def _run(arguments: argparse.Namespace, settings: RoleSettings | DatabaseSetting
     engine = make_engine(settings.sqlalchemy_url, pool_size=1)
     try:
         if isinstance(settings, ServiceSettings):
-            answer = _artifacts(arguments, make_sessions(engine), ArtifactStore.from_settings(settings))
+            store = ArtifactStore.from_settings(settings, patience_s=STORE_PATIENCE_S)
+            answer = _artifacts(arguments, make_sessions(engine), store)
         elif arguments.command == "backup":
             answer = _backup(arguments, make_sessions(engine))
         else:

@@ -35,10 +35,14 @@ OWNER = "service/owner.json"
 PROBES = "probes"
 """Prefix of the files with which a store is tested."""
 DEFAULT_DEADLINE_S = 60.0
-"""Seconds for which a store may not answer, and for which a refused request is repeated."""
+"""Seconds for which a store may not answer."""
 SLOWEST_UPLOAD_BYTES_S = 256 << 10
 """Bytes per second of the slowest connection over which files of any size can be uploaded."""
 _CHUNK_BYTES = 1 << 20
+_DEBUG = "\n\nDebug source:"
+"""What begins the part of an error that repeats it for developers of the client."""
+_ENDLESS = 1_000_000
+"""Repetitions that a time ends, not their number."""
 _UNFINISHED = re.compile(r".*#[0-9]+")
 """Names under which a local store writes files before they get their own."""
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._+=@-]{0,199}")
@@ -148,7 +152,7 @@ def _store_errors(action: str) -> Iterator[None]:
     except FileNotFoundError as error:
         raise MissingArtifactError(f"{action}: no such file") from error
     except (BaseError, OSError) as error:
-        raise StoreError(f"{action}: {error}") from error
+        raise StoreError(f"{action}: {str(error).partition(_DEBUG)[0]}") from error
 
 
 def _range_options(start: int, stop: int | None) -> GetOptions:
@@ -181,16 +185,20 @@ class ArtifactStore:
         self._store, self._connect, self._deadline_s = store, connect, deadline_s
 
     @classmethod
-    def from_settings(cls, settings: ServiceSettings, *, deadline_s: float = DEFAULT_DEADLINE_S) -> Self:
+    def from_settings(
+        cls, settings: ServiceSettings, *, deadline_s: float = DEFAULT_DEADLINE_S, patience_s: float | None = None
+    ) -> Self:
         """Open the store that the settings name; makes the folder of a local one.
 
-        A store that is silent for ``deadline_s`` seconds fails, as does one that refuses for longer. A file that takes
-        longer to upload has the time that it takes at ``SLOWEST_UPLOAD_BYTES_S``.
+        A store that is silent for ``deadline_s`` seconds fails. A file that takes longer to upload has the time that it
+        takes at ``SLOWEST_UPLOAD_BYTES_S``. Requests that fail are repeated for ``patience_s`` seconds; None: five
+        times within about a second, for callers that have a patience of their own.
         """
         parts = urlsplit(settings.artifact_url)
         if parts.scheme == "file":
             return cls(LocalStore(unquote(parts.path), mkdir=True, automatic_cleanup=True))
         options: dict[str, Any] = {"region": settings.s3_region}
+        tries, retry_s = (5, min(30.0, deadline_s)) if patience_s is None else (_ENDLESS, patience_s)
         if settings.s3_endpoint is not None:
             options["endpoint"] = settings.s3_endpoint
             options["virtual_hosted_style_request"] = False
@@ -208,7 +216,7 @@ class ArtifactStore:
                     "connect_timeout": timedelta(seconds=min(5.0, deadline_s)),
                     "read_timeout": timedelta(seconds=silent_s),
                 },
-                retry_config={"max_retries": 5, "retry_timeout": timedelta(seconds=min(30.0, deadline_s))},
+                retry_config={"max_retries": tries, "retry_timeout": timedelta(seconds=retry_s)},
                 **options,
             )
 
