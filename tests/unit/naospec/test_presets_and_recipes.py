@@ -60,6 +60,7 @@ def test_a_recipe_can_start_from_any_policy(name: str) -> None:
     stages, own = (recipes.job(name, start)["spec"].get("stages", []) for start in (None, "runs/first"))
     assert own == stages[len(stages) - len(own) :]
     assert (recipes.shortened(name, "runs/first") is None) == (own == stages)
+    assert "parent_policy" not in recipes.job(name, "runs/first")
     TrainingSpec.model_validate(recipes.job(name, "runs/first")["spec"])
 
 

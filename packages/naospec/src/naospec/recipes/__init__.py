@@ -41,7 +41,7 @@ def job(name: str, start: str | None = None) -> dict[str, Any]:
     Args:
         name: the recipe.
         start: policy to start from instead. It replaces the stages up to those of the recipe of its name; if there are
-            none of that name, all but the recipe's own.
+            none of that name, all but the recipe's own. The recipe's own `parent_policy` is left out, too.
 
     Raises:
         ValueError: if there is no such recipe; the message lists those that exist.
@@ -50,7 +50,8 @@ def job(name: str, start: str | None = None) -> dict[str, Any]:
     after = content.pop("after", None)
     if after is not None and (start is None or start in _before(after["recipe"])):
         content["spec"] = _after(job(after["recipe"], start)["spec"], after.get("task", {}), content["spec"])
-    return {"name": name, **{key: value for key, value in content.items() if key != "summary"}}
+    left_out = ("summary",) if start is None else ("summary", "parent_policy")
+    return {"name": name, **{key: value for key, value in content.items() if key not in left_out}}
 
 
 def shortened(name: str, start: str) -> str | None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from naospec import plugins, presets, recipes
 from naospec.sections import variants
 from pydantic import BaseModel, Field
 
 from naosprint_api.dependencies import CountedRoute
+from naosprint_api.problems import responses
 from naosprint_api.schemas.jobs import JobCreate
 
 router = APIRouter(tags=["catalog"], route_class=CountedRoute)
@@ -242,7 +243,18 @@ def list_presets() -> list[PresetPublic]:
     ]
 
 
-@router.get("/recipes")
-def list_recipes() -> list[RecipePublic]:
+@router.get("/recipes", responses=responses(422))
+def list_recipes(
+    start: Annotated[
+        str | None,
+        Query(
+            min_length=1,
+            description="Policy or job that the training starts from: without the stages that it replaces, which are "
+            "those up to the recipe of this name, else all but the recipe's own.",
+        ),
+    ] = None,
+) -> list[RecipePublic]:
     """List the recipes: tested jobs."""
-    return [RecipePublic(name=name, summary=recipes.summary(name), job=recipes.job(name)) for name in recipes.names()]
+    return [
+        RecipePublic(name=name, summary=recipes.summary(name), job=recipes.job(name, start)) for name in recipes.names()
+    ]

@@ -44,12 +44,13 @@ class SubmitView {
   async start() {
     document.title = `${this.title} · naosprint`;
     fill(this.root, h("div", { class: "card" }, loading("Loading the form")));
-    const from = this.params.get("from") ?? this.params.get("parent");
+    const parent = this.params.get("parent");
+    const from = this.params.get("from") ?? parent;
     const get = (path) => call(path, { signal: this.signal });
     const [schema, presets, recipes, robots, known, model] = await Promise.all([
       get("spec/schema"),
       get("presets"),
-      get("recipes"),
+      get(parent ? `recipes?start=${encodeURIComponent(parent)}` : "recipes"),
       get("robots"),
       descriptions(),
       from ? get(`jobs/${encodeURIComponent(from)}`) : null,
@@ -231,7 +232,12 @@ class SubmitView {
                   { class: "field" },
                   h("label", { for: "recipe" }, h("span", { class: "t" }, "Recipe")),
                   recipe,
-                  h("p", { class: "hint" }, "Fills the form with a job that is known to work."),
+                  h(
+                    "p",
+                    { class: "hint" },
+                    "Fills the form with a job that is known to work",
+                    this.params.has("parent") ? ", without the stages before the policy that it starts from." : ".",
+                  ),
                 )
               : null,
             h("fieldset", null, h("legend", { class: "sr" }, "Preset"), h("div", { class: "presets" }, radios)),
