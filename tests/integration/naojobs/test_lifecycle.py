@@ -11,7 +11,7 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from naojobs import backups, checkpoints, leases, outcomes, records, requests, submission
+from naojobs import backups, checkpoints, leases, outcomes, records, requests, studies, submission
 from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.leases import JobClaim
@@ -19,8 +19,10 @@ from naojobs.matches import MatchRequest, submit_match
 from naojobs.models import Evaluation, Event, Job, LeaseClock, Log, Match, MatchEvent, MetricsRecord
 from naojobs.quotas import Quota
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
+from naojobs.studies import StudyRequest
 from naojobs.submission import GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec, plugins
+from naospec.search import SearchSpec
 from sqlalchemy import event, func, select, text, update
 from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.orm import Session, sessionmaker
@@ -817,6 +819,27 @@ def test_a_child_whose_parent_ended_without_a_policy_fails(sessions: Sessions, s
     kept = get(sessions, child.id)
     assert (kept.state, kept.attempt) == (WorkState.FAILED, 0)
     assert kept.error == f"job {parent.id}, whose policy it starts from, ended without a trained checkpoint"
+
+
+def test_no_job_can_start_from_one_that_ended_without_a_policy(sessions: Sessions, running: JobClaim) -> None:
+    """The checkpoint of step 0 has random weights; one that is named or trained can be started from."""
+    parent = running.lease.job_id
+    first = record_checkpoint(sessions, running.lease, step=0, key=f"{parent}/0", manifest={"files": []})
+    outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
+    by_job = JobRequest(parent_job_id=parent)
+    search = SearchSpec.model_validate({"space": {"learning_rate": {"type": "float", "low": 1e-4, "high": 1e-3}}})
+    for refused in (
+        lambda: submission.submit(sessions, by_job, owner="alice"),
+        lambda: submission.submit_group(sessions, GroupRequest(by_job, seeds=[1, 2]), owner="alice"),
+        lambda: studies.submit_study(sessions, StudyRequest(by_job, search), owner="alice"),
+    ):
+        with pytest.raises(InvalidError, match="is cancelled and has no trained checkpoint") as error:
+            refused()
+        assert error.value.field is not None
+        assert error.value.field.endswith("parent_job_id")
+    submission.submit(sessions, replace(by_job, parent_checkpoint_id=first), owner="alice")
+    requests.retry(sessions, Job, parent)
+    submission.submit(sessions, by_job, owner="alice")
 
 
 def test_a_child_whose_parent_was_deleted_never_starts_from_random_weights(

@@ -572,7 +572,7 @@ def test_trials_start_from_a_policy(service: Service, conductor: Conductor) -> N
         studies.submit_study(service.sessions, request, owner="tester")
     assert caught.value.field == "job.spec.algorithm.hidden_sizes"
     parent = service.submit(announce=False, evaluate=False, total_steps=ROLLOUT)
-    with pytest.raises(InvalidError, match="no checkpoint yet"):
+    with pytest.raises(InvalidError, match="no trained checkpoint yet"):
         studies.submit_study(
             service.sessions, StudyRequest(JobRequest(spec, parent_job_id=parent), search), owner="tester"
         )

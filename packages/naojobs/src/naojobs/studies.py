@@ -17,7 +17,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from naojobs import policies
-from naojobs.checkpoints import newest_checkpoint
+from naojobs.checkpoints import trained_checkpoint
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, public, within
 from naojobs.idempotency import earlier, hold_names
@@ -128,9 +128,10 @@ def _with_pinned_parent(session: Session, job: JobRequest, owner: str, see_all: 
         return replace(job, parent_job_id=None)
     if job.parent_job_id is None or job.parent_checkpoint_id is not None:
         return job
-    checkpoint = newest_checkpoint(session, job.parent_job_id)
+    checkpoint = trained_checkpoint(session, job.parent_job_id)
     if checkpoint is None:
-        raise InvalidError(f"job {job.parent_job_id} has no checkpoint yet; wait for the first", "parent_job_id")
+        message = f"job {job.parent_job_id} has no trained checkpoint yet; wait for the first"
+        raise InvalidError(message, "parent_job_id")
     return replace(job, parent_checkpoint_id=checkpoint.id)
 
 

@@ -22,7 +22,7 @@ from sqlalchemy.orm import Session
 from naojobs import policies
 from naojobs.capabilities import Requirements
 from naojobs.changes import add_event, lock
-from naojobs.checkpoints import newest_checkpoint
+from naojobs.checkpoints import newest_checkpoint, trained_checkpoint
 from naojobs.database import Sessions, notify, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, within
 from naojobs.idempotency import earlier, hold_names
@@ -417,6 +417,10 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
                 f"job {parent.id} has no checkpoint {request.parent_checkpoint_id}",
                 "parent_checkpoint_id",
             )
+    elif parent.state in ENDED and trained_checkpoint(session, parent.id) is None:
+        raise InvalidError(
+            f"job {parent.id} is {parent.state} and has no trained checkpoint; start from another job", "parent_job_id"
+        )
 
 
 def check_fit(request: JobRequest, theirs: TrainingSpec, *, field: str = "") -> None:
