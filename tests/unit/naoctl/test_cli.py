@@ -132,6 +132,10 @@ def test_errors_are_one_line_for_people_and_json_for_programs(server: Any, naoct
         (["lst"], "lst"),
         (["compare"], "JOB"),
         (["submit", "--n-envs", "0"], "--n-envs"),
+        (["submit", "--from-policy", ""], "--from-policy is empty"),
+        (["download", "last", "--output="], "--output is empty"),
+        (["match", "a", ""], "B is empty"),
+        (["--url", "", "list"], "--url is empty"),
     ],
 )
 def test_usage_errors_are_one_line_and_obey_json(naoctl: Callable[..., Ran], words: list[str], said: str) -> None:

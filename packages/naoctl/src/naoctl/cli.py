@@ -31,7 +31,7 @@ from naoctl.commands import (
 from naoctl.commands import stack as stack_commands
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode, plain
-from naoctl.help import CommandGroups, WholeSummaries
+from naoctl.help import Command, CommandGroups, WholeSummaries
 from naoctl.render import terminal_json
 
 EPILOG = (
@@ -103,7 +103,7 @@ def build_app(word: str | None = None) -> typer.Typer:
 
     for module in _MODULES:
         module.register(app)
-    _show_whole_summaries(app)
+    _set_classes(app)
     commands = [command for command in app.registered_commands if command.name == word]
     groups = [group for group in app.registered_groups if group.name == word]
     if commands or groups:
@@ -111,13 +111,17 @@ def build_app(word: str | None = None) -> typer.Typer:
     return app
 
 
-def _show_whole_summaries(app: typer.Typer) -> None:
+def _set_classes(app: typer.Typer) -> None:
+    """Give commands and groups without a class of their own that of this program."""
+    for command in app.registered_commands:
+        if not issubclass(command.cls or Command, Command):
+            command.cls = Command
     for group in app.registered_groups:
         if group.typer_instance is None:
             continue
         if not isinstance(group.typer_instance.info.cls, type):  # it has no class of its own
             group.cls = WholeSummaries
-        _show_whole_summaries(group.typer_instance)
+        _set_classes(group.typer_instance)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -17,6 +17,8 @@ OPTIONS = "Options"
 """Heading above the options that have none of their own."""
 NAMES_WIDTH = 30
 """Widest column of names; a longer name has a line of its own."""
+MAY_BE_EMPTY = ("TAG", "TEXT")
+"""Kinds of values of which an empty one deletes what was there."""
 GROUPS = {
     "Train": ("submit", "tune", "study", "spec"),
     "Jobs": (
@@ -45,6 +47,11 @@ class WholeSummaries(TyperGroup):
 class CommandGroups(TyperGroup):
     """Group of commands whose help lists them by purpose, with whole summaries."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the options before the command. Raises InvalidInput."""
+        _refuse_empty(self, ctx, args)
+        return super().parse_args(ctx, args)
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands under their headings; a command without a heading is an error."""
         width = max(map(len, self.commands))
@@ -63,7 +70,16 @@ def _summary(command: Any) -> str:
     return first.partition(". ")[0].rstrip(".") + "."
 
 
-class SettingsCommand(TyperCommand):
+class Command(TyperCommand):
+    """Command that refuses an empty argument, which a variable that is not set leaves; a text or a tag may be empty."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the command line. Raises InvalidInput."""
+        _refuse_empty(self, ctx, args)
+        return super().parse_args(ctx, args)
+
+
+class SettingsCommand(Command):
     """Command with one option per setting; ``--help`` shows the most used, ``--help-all`` all under headings."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -98,6 +114,16 @@ class SettingsCommand(TyperCommand):
         if option is not None:
             option.callback = _show_help
         return option
+
+
+def _refuse_empty(command: Any, ctx: Any, args: list[str]) -> None:
+    given = command.make_parser(ctx).parse_args(list(args))[0]
+    for parameter in command.params:
+        value = given.get(parameter.name)
+        is_free = parameter.metavar in MAY_BE_EMPTY or _heading(parameter)
+        if not is_free and "" in (value if isinstance(value, list | tuple) else [value]):
+            name = parameter.metavar if parameter.param_type_name == "argument" else parameter.opts[0]
+            raise InvalidInput(f"{name} is empty", fix="Give a value, or leave it out.")
 
 
 def _heading(parameter: Any) -> str | None:

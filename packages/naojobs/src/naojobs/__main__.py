@@ -11,6 +11,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import psycopg
+from naospec.arguments import ArgumentParser
 from naospec.files import replacing
 from sqlalchemy.exc import DBAPIError, OperationalError, ProgrammingError
 
@@ -30,7 +31,7 @@ STORE_PATIENCE_S = 120.0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m naojobs", description="Administer the job service.")
+    parser = ArgumentParser(prog="python -m naojobs", description="Administer the job service.")
     commands = parser.add_subparsers(dest="command", required=True)
 
     migrate = commands.add_parser("migrate", help="migrate the database to a revision")
@@ -50,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     token = commands.add_parser("token", help="make, list and revoke tokens").add_subparsers(dest="verb", required=True)
     create = token.add_parser("create", help="make a token; its secret is shown once")
     create.add_argument("--owner", required=True, help="user whose jobs it gives access to")
-    create.add_argument("--name", default="", help="description of its purpose")
+    create.add_argument("--name", type=str, default="", help="description of its purpose")
     create.add_argument("--scope", action="append", choices=list(Scope), required=True, help="may be given repeatedly")
     create.add_argument("--days", type=float, help="days until it expires (default: never)")
     token.add_parser("list", help="show all tokens, without their secrets")

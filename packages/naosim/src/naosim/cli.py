@@ -11,6 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from naospec.arguments import ArgumentParser
+
 from naosim import __version__
 from naosim.robots import nao_model
 from naosim.simspark import bench, traces
@@ -133,7 +135,7 @@ def _print(text: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="naosim", description=__doc__)
+    parser = ArgumentParser(prog="naosim", description=__doc__)
     parser.add_argument("--version", action="version", version=f"naosim {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     check = commands.add_parser(

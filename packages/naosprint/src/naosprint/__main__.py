@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from naospec import EvaluationSpec, TrainingSpec, recipes
+from naospec.arguments import ArgumentParser
 from naospec.files import named_errors
 from naospec.flags import ALIASES, FlagError, explain, flag_name, help_text, parse_flags, read_switches
 from naospec.flat import settings, settings_of
@@ -83,14 +84,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="naosprint", description="Train, evaluate, replay and export policies.")
+    parser = ArgumentParser(prog="naosprint", description="Train, evaluate, replay and export policies.")
     added = parser.add_subparsers(required=True, metavar="command", parser_class=_CommandParser)
 
     def command(
         run: Callable[[argparse.Namespace], int], summary: str, description: str | None = None
     ) -> _CommandParser:
         """Add a command, which is described by the function that runs it."""
-        found = added.add_parser(run.__name__, help=summary, description=description or run.__doc__)
+        found: _CommandParser = added.add_parser(run.__name__, help=summary, description=description or run.__doc__)
         found.set_defaults(run=run)
         return found
 
@@ -200,7 +201,7 @@ def _parser() -> argparse.ArgumentParser:
 # --- options and specifications -----------------------------------------------------------------------------------
 
 
-class _CommandParser(argparse.ArgumentParser):
+class _CommandParser(ArgumentParser):
     """Parser of a command, whose switches may stand alone or be followed by true or false."""
 
     switches: Sequence[str] = ()
@@ -221,7 +222,7 @@ def _add_settings(parser: _CommandParser, model: type[BaseModel], known: Mapping
         if default is not None and default is not PydanticUndefined:
             text += f" (default: {','.join(map(str, default)) if isinstance(default, tuple) else default})"
         flags, dest = (*ALIASES.get(name, ()), flag_name(name)), f"setting_{name}"
-        groups[heading].add_argument(*flags, dest=dest, metavar="VALUE", help=text.replace("%", "%%"))
+        groups[heading].add_argument(*flags, type=str, dest=dest, metavar="VALUE", help=text.replace("%", "%%"))
     parser.switches = [flag_name(name) for name, setting in known.items() if setting.info.annotation is bool]
     parser.set_defaults(model=model, settings=known)
 
