@@ -300,7 +300,7 @@ def test_damaged_metrics_are_explained(tmp_path: Path, text: str) -> None:
 
 def test_missing_evaluation_is_explained(evaluation: Path, tmp_path: Path) -> None:
     """For each missing file."""
-    with pytest.raises(ReportError, match="no complete evaluation"):
+    with pytest.raises(ReportError, match=r"no complete evaluation \(.* is missing\); name a folder"):
         write_report(tmp_path / "out", evaluation=tmp_path)
     for name in ("evaluation.json", "trajectories.npz"):
         (tmp_path / name).write_bytes((evaluation / name).read_bytes())

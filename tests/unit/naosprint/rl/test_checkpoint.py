@@ -111,8 +111,16 @@ def test_saving_again_replaces(tmp_path: Path) -> None:
 
 def test_missing_checkpoint_is_named(tmp_path: Path) -> None:
     """The message has the path and what is missing."""
-    with pytest.raises(CheckpointError, match=r"nowhere: not a checkpoint \(checkpoint.json is missing\)"):
+    with pytest.raises(CheckpointError, match=r"nowhere: not a checkpoint \(checkpoint.json is missing\)$"):
         read_manifest(tmp_path / "nowhere")
+
+
+def test_the_folder_of_a_training_names_its_newest_checkpoint(tmp_path: Path) -> None:
+    for steps in (64, 128):
+        state = TrainingState(0, steps, 0, 0, 0.0, (), (), {}, {}, {})
+        save_checkpoint(tmp_path / f"step-{steps:012}", TrainingSpec(), state)
+    with pytest.raises(CheckpointError, match=r"; use its newest one, .*/step-000000000128$"):
+        read_manifest(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -185,6 +185,9 @@ def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dic
         raise ReportError(f"{results}: {error}") from error
     except ValidationError as error:
         raise ReportError(f"{results}: {validation_words(error.errors())}") from error
+    except FileNotFoundError as error:
+        missing = f"no complete evaluation ({error.filename} is missing)"
+        raise ReportError(f"{directory}: {missing}; name a folder that `naosprint evaluate --output` wrote") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ReportError(f"{directory}: no complete evaluation: {error}") from error
     return summary, spec, paths

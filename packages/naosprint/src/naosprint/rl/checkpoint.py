@@ -191,7 +191,9 @@ def read_manifest(directory: Path) -> Manifest:
     try:
         raw = read_json(path, _MAX_MANIFEST_BYTES)
     except FileNotFoundError:
-        raise CheckpointError(f"{directory}: not a checkpoint ({MANIFEST} is missing)") from None
+        inside = sorted(found.parent for found in directory.glob(f"*/{MANIFEST}"))
+        use = f"; use its newest one, {inside[-1]}" if inside else ""
+        raise CheckpointError(f"{directory}: not a checkpoint ({MANIFEST} is missing){use}") from None
     except (OSError, ValueError) as error:
         raise CheckpointError(f"{path}: unreadable: {error}") from error
     if not isinstance(raw, dict):
