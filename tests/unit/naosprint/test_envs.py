@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -45,6 +46,17 @@ def test_checkers_are_content(settings: dict[str, str]) -> None:
     """Both Gymnasium's and stable-baselines3's; a warning is an error here."""
     check_env(make(**settings))
     check_env_by_stable_baselines3(make(**settings))
+
+
+@pytest.mark.parametrize("task", ["kick", {"name": "sprint2"}])
+@pytest.mark.parametrize("make_envs", [gymnasium.make, gymnasium.make_vec])
+def test_an_id_that_names_a_task_takes_no_other(make_envs: Callable[..., Any], task: object) -> None:
+    with pytest.raises(ValueError, match="task: the id names sprint1, not "):
+        make_envs("naosprint/Sprint1-v1", task=task)
+    for same in ("sprint1", {"name": "sprint1", "min_height_m": 0.3}, {"min_height_m": 0.3}):
+        envs = make_envs("naosprint/Sprint1-v1", task=same)
+        assert envs.unwrapped.specification.task.name == "sprint1"
+        envs.close()
 
 
 def test_settings_choose_robot_task_and_simulator() -> None:

@@ -46,17 +46,24 @@ _STREAMS = 2**31
 _FPS = round(1.0 / STEP_S)
 
 
-def specification(**settings: Any) -> TrainingSpec:
+def specification(*, registered_task: str | None = None, **settings: Any) -> TrainingSpec:
     """Return the specification whose task, robot and simulator these settings choose.
 
     Args:
+        registered_task: task that the environment's id names; ``task`` may have its settings, but no other name.
         **settings: ``task``, ``robot`` and ``simulator`` as names or as whole sections, and any of their settings by
             short name, for example ``min_height_m``. ``preset`` decides the task settings that are left out.
 
     Raises:
         pydantic.ValidationError: if a setting is impossible.
         TypeError: if task, robot and simulator have no setting of a name.
+        ValueError: if ``task`` is not the one that the environment's id names.
     """
+    if registered_task is not None:
+        task = {"name": registered_task, **as_mapping(settings.get("task") or {})}
+        if task["name"] != registered_task:
+            raise ValueError(f"task: the id names {registered_task}, not {task['name']}; use the id of that task")
+        settings["task"] = task
     base = {name: as_mapping(settings.pop(name)) for name in _SECTIONS if settings.get(name) is not None}
     paths = {name: setting.path for name, setting in flat.settings().items()}
     for name in settings:

@@ -43,5 +43,5 @@ def register_envs() -> None:
                 identity,
                 entry_point="naosprint.envs:TaskEnv",
                 vector_entry_point="naosprint.envs:TaskVectorEnv",
-                kwargs={"task": name},
+                kwargs={"task": name} if identity == DEFAULT_ID else {"registered_task": name},
             )
