@@ -199,6 +199,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed
         (["match", "report", "game-9.npz"], "game-9.npz: there is no such log; `naosprint match` writes game-001.npz"),
         (["match", "film", "game-9.npz"], "game-9.npz: there is no such log; `naosprint match` writes game-001.npz"),
         (["match", "example", "example", "--cpu-seconds", "-1"], "cpu_seconds: must be at least 1, not -1"),
+        (["train", __file__], "test_main.py: is a file, not a folder"),
         (["train", "x", "--task", "swim"], "--task: unknown task 'swim': choose one of "),
         (["train", "x", "--n-envs", "many"], "--n-envs: "),
         (["train", "x", "--min-height-m", "-1"], "--min-height-m: "),
@@ -381,6 +382,9 @@ def test_a_reader_that_ends_early_is_no_error() -> None:
     assert (ended.returncode, ended.stderr) == (128 + signal.SIGPIPE, "")
     closed = subprocess.run(["sh", "-c", '"$@" >&-', "sh", *command], capture_output=True, text=True, check=False)
     assert (closed.returncode, closed.stderr) == (0, "")
+    full = subprocess.run(["sh", "-c", '"$@" >/dev/full', "sh", *command], capture_output=True, text=True, check=False)
+    assert full.returncode == 1
+    assert full.stderr.startswith("error: standard output: No space left on device\n")
 
 
 def test_what_a_training_is_resumed_with_has_to_be_what_it_was(

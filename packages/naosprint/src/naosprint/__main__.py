@@ -23,7 +23,7 @@ from pydantic_core import PydanticUndefined
 from naosprint import commands
 from naosprint.commands import EXIT_FAILURE
 from naosprint.matches.commands import add_parsers
-from naosprint.programs import EXPECTED_ERRORS, above_zero, integer
+from naosprint.programs import EXPECTED_ERRORS, above_zero, error_text, integer
 from naosprint.threads import quiet_openmp
 
 if TYPE_CHECKING:
@@ -57,11 +57,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _parser().parse_args(arguments, options)
         run: Callable[[argparse.Namespace], int] = options.run
         # of what is written there, an error of a disk may not name the file
-        written = getattr(options, "output", None) or getattr(options, "workdir", None) or Path.cwd()
+        places = (getattr(options, name, None) for name in ("output", "workdir", "folder", "written"))
+        written = next((place for place in places if place), Path("standard output"))
         with _interruptible(), named_errors(written):
             options.given = _given(options)
             status = run(options)
-        sys.stdout.flush()  # what cannot be written there is no error of a file
+        with named_errors(Path("standard output")):
+            sys.stdout.flush()
         return status
     except KeyboardInterrupt as error:
         number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
@@ -79,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of it, when Python ends
         return EXIT_PIPE
     except EXPECTED_ERRORS as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(f"error: {error_text(error)}\n")
         return EXIT_FAILURE
 
 

@@ -46,6 +46,15 @@ def above_zero(text: str, most: float = math.inf) -> float:
     return found
 
 
+def error_text(error: BaseException) -> str:
+    """Return what cannot be done; of a file or folder its path and why, without the system's number."""
+    if isinstance(error, FileExistsError) and error.filename is not None:
+        return f"{error.filename}: is a file, not a folder"
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
 def run_program(main: Callable[[], int | None]) -> NoReturn:
     """Run a program and exit with its status, or with 1 and one line if it cannot do what was asked for."""
     try:
@@ -53,4 +62,4 @@ def run_program(main: Callable[[], int | None]) -> NoReturn:
     except KeyboardInterrupt:
         sys.exit(130)
     except EXPECTED_ERRORS as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {error_text(error)}")

@@ -175,7 +175,7 @@ def add_parsers(commands: Any, stop: Callable[[], Callable[[], bool]]) -> None:
         "does, or if --games were too few",
     )
     match.add_argument("--json", action="store_true", help="print the results as JSON")
-    match.set_defaults(run=lambda options: play(options, stop))
+    match.set_defaults(run=lambda options: play(options, stop), written=Path.cwd())
     write = commands.add_parser(
         "team", help="write the example team", description="Write the example team to a folder, to change and play it."
     )
