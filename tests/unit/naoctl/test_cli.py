@@ -304,7 +304,7 @@ def test_steering(server: Any, naoctl: Callable[..., Ran], job: Jobs, verb: str)
 def test_an_evaluation_is_cancelled_by_its_id(server: Any, naoctl: Callable[..., Ran]) -> None:
     evaluation = "eval_01m7y0yae5d2d9p46g58mkcxxh"
     states = iter(["starting", "cancelled"])
-    answer = {"id": evaluation, "state": "starting"}
+    answer = {"id": evaluation, "state": "starting", "waiting_reason": None}
     server.on("POST", f"/evaluations/{evaluation}/cancel")(lambda request: request.json(answer))
     server.on("GET", f"/evaluations/{evaluation}")(lambda request: request.json({**answer, "state": next(states)}))
     assert naoctl("cancel", evaluation).out == f"{evaluation}: cancel requested\n"
@@ -506,6 +506,7 @@ def test_evaluate_waits_for_the_results(
         "id": "eval_1",
         "state": "queued",
         "error": None,
+        "waiting_reason": None,
         "summary": None,
         "spec": {"episodes": 10, "seed": 5, "confidence": 0.95},
     }
@@ -534,7 +535,7 @@ def test_ctrl_c_on_eval_offers_to_cancel_it(
 ) -> None:
     """Ctrl-C comes while the evaluation runs, as a signal to the waiting process."""
     name = "eval_01m7y0yae5d2d9p46g58mkcxxh"
-    running = {"id": name, "job_id": job()["id"], "state": "running", "spec": {"episodes": 10, "seed": 5}}
+    running = {"id": name, "job_id": job()["id"], "state": "running", "waiting_reason": None, "spec": {"episodes": 10, "seed": 5}}
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
     server.on("POST", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json(running, 202))
 

@@ -306,7 +306,7 @@ def test_a_full_disk_leaves_whole_files_or_those_before(checkpoint: Path, tmp_pa
 
 def test_a_matrix_of_transitions_is_whole_and_a_pipe_stays_one(tmp_path: Path) -> None:
     """A link, such as /dev/stdout, stays one, too."""
-    arguments = ["handover", "--only", "getup", "--transitions", "1", "--output"]
+    arguments = ["handover", "--only", "walk", "--transitions", "1", "--engine", "fast", "--output"]
     file, link, pipe = tmp_path / "file", tmp_path / "link", tmp_path / "pipe"
     file.write_text("before")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -321,7 +321,7 @@ def test_a_matrix_of_transitions_is_whole_and_a_pipe_stays_one(tmp_path: Path) -
     with os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)) as reader:
         assert main([*arguments, str(pipe)]) == 0
         found = json.loads(reader.read())
-    assert found["policies"] == {"getup": "t1-getup"}
+    assert found["policies"] == {"walk": "t1-run"}
     assert main([*arguments, str(link)]) == 0
     assert link.is_symlink() and json.loads(file.read_text()) == found
 
