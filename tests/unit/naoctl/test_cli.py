@@ -77,6 +77,15 @@ def test_submit_from_another_jobs_policy(server: Any, naoctl: Callable[..., Ran]
     assert naoctl("submit", "--task", "sprint2", "--from", "first").code == 0
     assert server.received[-1].body["parent_job_id"] == job()["id"]
     assert naoctl("submit", "--from-checkpoint", "x").code == ExitCode.USAGE
+    points = [{"id": f"ckpt_{step}", "step": step, "attempt": 1} for step in (100, 200)]
+    server.on("GET", f"/jobs/{job()['id']}/checkpoints")(
+        lambda request: request.json({"items": points, "next_cursor": None})
+    )
+    for wanted in ("100", "ckpt_100"):
+        assert naoctl("submit", "--from", "first", "--from-checkpoint", wanted).code == 0
+        assert server.received[-1].body["parent_checkpoint_id"] == "ckpt_100"
+    refused = naoctl("submit", "--from", "first", "--from-checkpoint", "300")
+    assert (refused.code, "Its newest are at steps 100, 200." in refused.err) == (ExitCode.NOT_FOUND, True)
 
 
 def test_a_sweep_is_one_request(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
@@ -535,7 +544,13 @@ def test_ctrl_c_on_eval_offers_to_cancel_it(
 ) -> None:
     """Ctrl-C comes while the evaluation runs, as a signal to the waiting process."""
     name = "eval_01m7y0yae5d2d9p46g58mkcxxh"
-    running = {"id": name, "job_id": job()["id"], "state": "running", "waiting_reason": None, "spec": {"episodes": 10, "seed": 5}}
+    running = {
+        "id": name,
+        "job_id": job()["id"],
+        "state": "running",
+        "waiting_reason": None,
+        "spec": {"episodes": 10, "seed": 5},
+    }
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
     server.on("POST", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json(running, 202))
 

@@ -101,6 +101,34 @@ def find_job(client: Client, reference: str) -> dict[str, Any]:
     return matches[0]
 
 
+def find_checkpoint(client: Client, job: dict[str, Any], wanted: str | None) -> dict[str, Any]:
+    """Return the checkpoint of a job with an id or step; the newest if none is given.
+
+    Raises:
+        CliError: if there is none.
+    """
+    points: list[dict[str, Any]] = sorted(
+        client.every(f"/jobs/{job['id']}/checkpoints"), key=lambda p: (p["step"], p["attempt"])
+    )
+    if not points:
+        raise CliError(
+            f"Job {job['id']} has no checkpoint yet",
+            fix="Wait for its first, or for its end.",
+            code=ExitCode.NOT_FOUND,
+        )
+    if wanted is None:
+        return points[-1]
+    for point in points[::-1]:
+        if wanted in (point["id"], str(point["step"])):
+            return point
+    steps = ", ".join(str(point["step"]) for point in points[-5:])
+    raise CliError(
+        f"Job {job['id']} has no checkpoint {wanted!r}",
+        fix=f"Its newest are at steps {steps}.",
+        code=ExitCode.NOT_FOUND,
+    )
+
+
 def find_listed(client: Client, path: str, kind: str, reference: str) -> dict[str, Any]:
     """Return a study or a match with its details, by its id, the end of it, its name, or ``last`` for the newest.
 

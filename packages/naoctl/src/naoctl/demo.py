@@ -13,7 +13,6 @@ import naopolicies
 
 from naoctl.client import Client
 from naoctl.commands.artifacts import (
-    choose_checkpoint,
     fetch_artifacts,
     run_naosprint,
     show_evaluation,
@@ -24,7 +23,7 @@ from naoctl.commands.policies import evaluate
 from naoctl.commands.submit import make_body
 from naoctl.commands.watch import watch_job
 from naoctl.config import Target
-from naoctl.context import Context
+from naoctl.context import Context, find_checkpoint
 from naoctl.errors import CliError, ExitCode
 from naoctl.evaluations import headline, job_evaluation
 from naoctl.policies import checkpoint_folder
@@ -153,7 +152,7 @@ class Demo:
 
     def _download(self, client: Client, job: dict[str, Any], evaluation: dict[str, Any]) -> Path:
         self._head("4. The policy, on disk")
-        checkpoint = choose_checkpoint(client, job, evaluation["checkpoint_id"])
+        checkpoint = find_checkpoint(client, job, evaluation["checkpoint_id"])
         folder = self.output / job["id"]
         chosen: list[tuple[str, Path, dict[str, Any]]] = [
             ("checkpoint", folder / checkpoint_folder(checkpoint["step"]), checkpoint),

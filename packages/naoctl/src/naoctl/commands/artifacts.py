@@ -38,7 +38,7 @@ from naoctl.commands.submit import (
     common_fields,
     hand_in,
 )
-from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
+from naoctl.context import Context, JsonFlag, complete_job, context_of, find_checkpoint, find_job, stdin_is_terminal
 from naoctl.descriptions import section_name
 from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.evaluations import headline, job_evaluation
@@ -142,7 +142,7 @@ def choose_files(
     """
     if found.policy is None:
         assert found.job is not None
-        point = choose_checkpoint(client, found.job, checkpoint)
+        point = find_checkpoint(client, found.job, checkpoint)
         return "checkpoint", folder / checkpoint_folder(point["step"]), point
     if checkpoint is not None:
         raise InvalidInput(
@@ -353,34 +353,6 @@ def run_naosprint(*words: str) -> str:
 
 def _advance(bar: Progress, task: TaskID) -> Callable[[int], None]:
     return lambda done: bar.update(task, completed=done)
-
-
-def choose_checkpoint(client: Client, job: dict[str, Any], wanted: str | None) -> dict[str, Any]:
-    """Return the checkpoint with an id or step; the newest if none is given.
-
-    Raises:
-        CliError: if there is none.
-    """
-    points: list[dict[str, Any]] = sorted(
-        client.every(f"/jobs/{job['id']}/checkpoints"), key=lambda p: (p["step"], p["attempt"])
-    )
-    if not points:
-        raise CliError(
-            f"Job {job['id']} has no checkpoint yet",
-            fix="Wait for its first, or for its end.",
-            code=ExitCode.NOT_FOUND,
-        )
-    if wanted is None:
-        return points[-1]
-    for point in points[::-1]:
-        if wanted in (point["id"], str(point["step"])):
-            return point
-    steps = ", ".join(str(point["step"]) for point in points[-5:])
-    raise CliError(
-        f"Job {job['id']} has no checkpoint {wanted!r}",
-        fix=f"Its newest are at steps {steps}.",
-        code=ExitCode.NOT_FOUND,
-    )
 
 
 def checkpoints(ctx: typer.Context, job: Job = "last", as_json: JsonFlag = False) -> None:

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from naoctl.commands.artifacts import Conditions, choose_checkpoint, condition_values
+from naoctl.commands.artifacts import Conditions, condition_values
 from naoctl.commands.jobs import add_settings, settings_of
 from naoctl.commands.submit import hand_in
-from naoctl.context import JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
+from naoctl.context import JsonFlag, complete_job, context_of, find_checkpoint, find_job, stdin_is_terminal
 from naoctl.errors import InvalidInput
 from naoctl.evaluations import headline, result_text
 from naoctl.policies import known_policy, policy_path
@@ -51,7 +51,7 @@ def register_policy(
         found = find_job(client, job)
         body: dict[str, Any] = {"job_id": found["id"], "aliases": alias or [], "notes": notes}
         if checkpoint is not None:
-            body["checkpoint_id"] = choose_checkpoint(client, found, checkpoint)["id"]
+            body["checkpoint_id"] = find_checkpoint(client, found, checkpoint)["id"]
         card = hand_in(client, f"{policy_path(name)}/versions", body, key)
     if as_json:
         context.json(card)

@@ -22,7 +22,7 @@ from pydantic import TypeAdapter
 from naoctl.client import Client
 from naoctl.commands.browse import address, job_path
 from naoctl.commands.watch import watch_job
-from naoctl.context import NEWEST, Context, JsonFlag, complete_job, completions, context_of, find_job
+from naoctl.context import NEWEST, Context, JsonFlag, complete_job, completions, context_of, find_checkpoint, find_job
 from naoctl.descriptions import section_name
 from naoctl.errors import InvalidInput, Unreachable, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
@@ -127,7 +127,7 @@ def submit(
     ] = None,
     checkpoint: Annotated[
         str | None,
-        typer.Option("--from-checkpoint", metavar="ID", help="Which of its checkpoints (default: the newest)."),
+        typer.Option("--from-checkpoint", metavar="ID|STEP", help="Which of its checkpoints (default: the newest)."),
     ] = None,
     policy: Annotated[
         str | None,
@@ -202,7 +202,10 @@ def submit(
         return
     with context.client() as client:
         if parent:
-            body["parent_job_id"] = find_job(client, parent)["id"]
+            job = find_job(client, parent)
+            body["parent_job_id"] = job["id"]
+            if checkpoint:
+                body["parent_checkpoint_id"] = find_checkpoint(client, job, checkpoint)["id"]
         if group:
             made = hand_in(client, "/groups", {**group, "job": body}, key)
             if as_json:
