@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from naojobs.database import Sessions
 from naojobs.models import Match, MatchGame
+from naojobs.teams import present_name
 
 _MIDDLE, _SCALE = 1500.0, 400.0 / math.log(10.0)
 """Rating of an average team, and Elo points in which the odds change by a factor of e."""
@@ -26,7 +27,7 @@ class Results:
     """Results of all games of one team against another; without a comment, of the first of them."""
 
     identities: tuple[str, str]
-    """What equal teams share, see `naojobs.teams.MatchTeam`."""
+    """What equal teams share, also of several owners: the id of an uploaded team, or policies by skill."""
     names: tuple[str, str]
     wins: int
     draws: int
@@ -158,15 +159,20 @@ def _results(session: Session, owner: str | None) -> list[Results]:
     if owner is not None:
         of_match = of_match.where(MatchGame.match_id.in_(select(Match.id).where(Match.owner == owner)))
     counted = of_match.subquery()
-    fields = {f"{name}_{i}": Match.spec["teams"][i][name].astext for name in ("identity", "name") for i in range(2)}
+    teams = [Match.spec["teams"][i] for i in range(2)]
+    fields = [
+        *(func.coalesce(team["team_id"].astext, team["policies"].astext) for team in teams),
+        *(team[name] for name in ("name", "policies") for team in teams),
+    ]
     sums = [func.sum(counted.c[name]) for name in ("wins", "draws", "losses", "first_goals", "second_goals")]
     rows = (
-        select(*(field.label(name) for name, field in fields.items()), *sums)
+        select(*(field.label(f"of_team_{i}") for i, field in enumerate(fields)), *sums)
         .join(counted, counted.c.match_id == Match.id)
         .group_by(*fields)
     )
     found = []
-    for one, other, name, other_name, *numbers in session.execute(rows):
+    for one, other, name, other_name, policies, others, *numbers in session.execute(rows):
         wins, draws, losses, goals, against = map(int, numbers)
-        found.append(Results((one, other), (name, other_name), wins, draws, losses, (goals, against)))
+        names = present_name(name, policies), present_name(other_name, others)
+        found.append(Results((one, other), names, wins, draws, losses, (goals, against)))
     return found

@@ -8,6 +8,7 @@ import json
 import os
 import posixpath
 import tarfile
+from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import Any, Literal
 from zlib import error as ZlibError
@@ -49,8 +50,6 @@ class MatchTeam(BaseModel):
 
     name: str
     """Name for people: as given, with versions in place of aliases."""
-    identity: str
-    """What equal teams share, also of several owners."""
     policies: dict[str, str] = {}
     """By skill, the name of a bundled policy or the id of a checkpoint."""
     team_id: str | None = None
@@ -86,15 +85,27 @@ def find_team(session: Session, owner: str, text: str, field: str) -> MatchTeam:
             known = session.scalars(select(TeamRecord.name).where(TeamRecord.owner == owner).order_by(TeamRecord.name))
             names = ", ".join([EXAMPLE, f"{EXAMPLE}:walk=POLICY", *known])
             raise InvalidError(f"no team {text!r}; use one of {names}, or upload a team", field)
-        return MatchTeam(name=found.name, identity=found.id, team_id=found.id, image=found.image)
+        return MatchTeam(name=found.name, team_id=found.id, image=found.image)
     try:
         references = skills_of(text)
     except ValueError as error:
         raise InvalidError(str(error), field) from None
     found_policies = {skill: _policy(session, owner, skill, each, field) for skill, each in references.items()}
     name = example_name({skill: shown for skill, (shown, _) in found_policies.items()})
-    used = {skill: used for skill, (_, used) in found_policies.items()}
-    return MatchTeam(name=name, identity=example_name(used), policies=used)
+    return MatchTeam(name=name, policies={skill: used for skill, (_, used) in found_policies.items()})
+
+
+def present_name(name: str, policies: Mapping[str, str]) -> str:
+    """Return the name that a stored team has now; an earlier version may have had other policies without a mention.
+
+    Args:
+        name: the team's name.
+        policies: its policies by skill; none of an uploaded team.
+    """
+    if not policies:
+        return name
+    mentioned = {skill: reference for skill, reference in skills_of(name).items() if f"{skill}=" in name}
+    return example_name({**skills_of(EXAMPLE), **policies, **mentioned})
 
 
 def _key(owner: str) -> Function[Any]:

@@ -9,6 +9,7 @@ from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Match, Match
 from naojobs.registry import WorkerStatus
 from naojobs.states import WorkState
 from naojobs.store import StoreManifest
+from naojobs.teams import present_name
 from naospec.match_results import rows, sums
 
 from naosprint_api.schemas.artifacts import CheckpointPublic, EvaluationPublic
@@ -71,7 +72,7 @@ def match_view(match: Match, waiting_reason: str | None = None) -> MatchPublic:
     """Return a match, with the reason why no worker can take it."""
     spec, summary = match.spec, match.summary or {}
     given = {
-        "teams": [team["name"] for team in spec["teams"]],
+        "teams": [present_name(team["name"], team["policies"]) for team in spec["teams"]],
         **{name: spec[name] for name in ("games", "players", "half_s", "gate")},
         "film": spec.get("film", "off"),
         "played": summary.get("games", 0),
