@@ -96,7 +96,7 @@ def find_team(session: Session, owner: str, text: str, field: str) -> MatchTeam:
 
 
 def present_name(name: str, policies: Mapping[str, str]) -> str:
-    """Return the name that a stored team has now; an earlier version may have had other policies without a mention.
+    """Return the name that a stored team has now: its version may have had other default policies.
 
     Args:
         name: the team's name.

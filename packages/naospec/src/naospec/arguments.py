@@ -1,4 +1,4 @@
-"""Parser of command lines that all programs share."""
+"""Parser of command lines, shared by the programs that use argparse."""
 
 from __future__ import annotations
 

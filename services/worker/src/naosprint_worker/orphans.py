@@ -95,7 +95,7 @@ class OrphanSweeper:
     def _untouched(self, folder: Path, known: Mapping[Path, tuple[Sequence[int], float]]) -> bool:
         """Return whether nothing in a worker's folder, or in those of its attempts, has been touched for long.
 
-        It has passed by this process's clock, so that no clock that is set counts.
+        The time is this process's monotonic time, so that setting a clock has no effect.
         """
         now = time.monotonic()
         touched = sorted(path.stat().st_mtime_ns for path in (*folder.glob("*"), *folder.glob("*/*")))

@@ -202,10 +202,9 @@ def submit(
         return
     with context.client() as client:
         if parent:
-            job = find_job(client, parent)
-            body["parent_job_id"] = job["id"]
-            if checkpoint:
-                body["parent_checkpoint_id"] = find_checkpoint(client, job, checkpoint)["id"]
+            body["parent_job_id"] = find_job(client, parent)["id"]
+        if checkpoint:
+            body["parent_checkpoint_id"] = find_checkpoint(client, {"id": body["parent_job_id"]}, checkpoint)["id"]
         if group:
             made = hand_in(client, "/groups", {**group, "job": body}, key)
             if as_json:
