@@ -108,6 +108,38 @@ def test_curves_have_axes_a_choice_and_saved_views(
     assert browser.find("button[data-x=clock]").get_attribute("aria-pressed") == "true"
 
 
+def test_a_dark_page_is_printed_dark_on_white(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, job_id: str
+) -> None:
+    with stack.sessions.begin() as session:
+        for i in (1, 2):
+            values = {"reward": 10.0 * i, "time_s": float(i)}
+            session.add(MetricsRecord(job_id=job_id, attempt=1, step=i * 1000, time_s=float(i), values=values))
+        notify(session, job_id)
+    browser.sign_in(token)
+    browser.theme("dark")
+    browser.open(f"/jobs/{job_id}")
+    dark = browser.find("[data-chart=reward] canvas").screenshot_as_png
+    browser.js(
+        "addEventListener('beforeprint', () => { "
+        "window.printed = [document.documentElement.dataset.theme, getComputedStyle(document.body).color]; });"
+        "addEventListener('beforeprint', async () => { await null; await null; "
+        "window.drawn = document.querySelector('[data-chart=reward] canvas').toDataURL(); });"
+        "window.before = document.querySelector('[data-chart=reward] canvas').toDataURL();"
+    )
+    browser.driver.execute_cdp_cmd("Page.printToPDF", {})
+    theme, colour = browser.js("return window.printed")
+    assert (theme, colour) == ("light", "rgb(21, 26, 33)")
+    assert browser.js("return window.drawn !== window.before"), "the chart has the colours of the dark theme"
+    browser.until(
+        lambda: browser.find("[data-chart=reward] canvas").screenshot_as_png == dark, message="the chart stays light"
+    )
+    assert browser.js("return [document.documentElement.dataset.theme, localStorage['naosprint.theme']]") == [
+        "dark",
+        "dark",
+    ]
+
+
 def test_earlier_lines_of_the_log_come_in_pages(
     browser: Browser, stack: Stack, token: str, client: httpx.Client, job_id: str
 ) -> None:

@@ -198,7 +198,7 @@ export class Chart {
       this.links.delete(this);
       if (!this.links.size) linked.delete(key);
     };
-    this.stopTheme = onTheme(() => this.u?.redraw(false, true));
+    this.stopTheme = onTheme(() => this.#recolour());
   }
 
   /** Show columns: x first, then one per series; or a function that returns them, called when there is time to draw. */
@@ -247,6 +247,17 @@ export class Chart {
       this.u.setSize({ width, height });
       schedule(this); // another width shows other points
     }
+  }
+
+  /** Draw it in the colours of the theme, and all that it has: a page may be about to be printed whole. */
+  #recolour() {
+    if (this.late) {
+      const seen = this.visible;
+      this.visible = true;
+      this.draw();
+      this.visible = seen;
+    }
+    this.u?.redraw(false, true);
   }
 
   #size() {

@@ -8,16 +8,28 @@ export const theme = () => document.documentElement.dataset.theme ?? "auto";
 
 /** Set "light", "dark" or "auto" and remember it. */
 export function setTheme(value) {
-  if (value === "auto") delete document.documentElement.dataset.theme;
-  else document.documentElement.dataset.theme = value;
+  show(value);
   try {
     if (value === "auto") localStorage.removeItem(KEY);
     else localStorage.setItem(KEY, value);
   } catch {
     /* storage refused: lasts for this page */
   }
+}
+
+function show(value) {
+  if (value === "auto") delete document.documentElement.dataset.theme;
+  else document.documentElement.dataset.theme = value;
   notify();
 }
+
+// Paper is white, and browsers leave out backgrounds: in the dark theme text would be light on it.
+let onScreen = "auto";
+addEventListener("beforeprint", () => {
+  onScreen = theme();
+  show("light");
+});
+addEventListener("afterprint", () => show(onScreen));
 
 /** Call `listener` whenever colours change; returns a function that removes it. */
 export function onTheme(listener) {
