@@ -66,6 +66,16 @@ def test_an_archive_that_was_cut_off_is_refused(store: ArtifactStore, other: Art
         import_artifacts(other, io.BytesIO(packed(store)[:cut]))
 
 
+@pytest.mark.parametrize("rest", [0, 200])
+def test_an_archive_that_was_cut_off_before_a_whole_artifact_is_refused(
+    store: ArtifactStore, other: ArtifactStore, rest: int
+) -> None:
+    data = packed(store)
+    end = data.index(b"jobs/k/") + rest
+    with pytest.raises(DamagedArchiveError, match="truncated: cut off or damaged"):
+        import_artifacts(other, io.BytesIO(data[:end]))
+
+
 def test_no_name_leads_out_of_the_store(store: ArtifactStore, other: ArtifactStore) -> None:
     for name in (b"jobs/../../../etc/pass", b"/etc/passwd-of-a-machine", b"work/j/checkpoints/1-1/"):
         data = packed(store).replace(b"jobs/j/checkpoints/1-1/", name[:23].ljust(23, b"x"))

@@ -42,6 +42,15 @@ def test_a_path_is_in_an_archive_once_however_it_is_written(name: str) -> None:
         TeamArchive(packed((name, TEAM), ("parts/legs.py", ""), ("parts/./legs.py", "")))
 
 
+@pytest.mark.parametrize("length", [1024, 1024 + 200])
+@pytest.mark.parametrize("after", [b"", b"x" * 512])
+def test_an_archive_that_is_cut_before_or_in_a_header_is_refused(length: int, after: bytes) -> None:
+    data = packed(("team.json", TEAM), ("player.py", ""))
+    with pytest.raises(InvalidError, match="cut off or damaged"):
+        TeamArchive(data[:length] + after)
+    assert TeamArchive(data[: 3 * 512 + 512]).command.command == ("{python}", "player.py")
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [

@@ -6,7 +6,8 @@ import hashlib
 import io
 import tarfile
 from collections.abc import Callable, Mapping, Sequence
-from typing import BinaryIO
+from tarfile import EmptyHeaderError, InvalidHeaderError, ReadError, TruncatedHeaderError  # type: ignore[attr-defined]
+from typing import BinaryIO, Self
 
 from naojobs.errors import JobError
 from naojobs.store import ARTIFACTS, MANIFEST_NAME, ArtifactStore, MissingArtifactError, StoreManifest, artifact_of
@@ -14,6 +15,18 @@ from naojobs.store import ARTIFACTS, MANIFEST_NAME, ArtifactStore, MissingArtifa
 
 class DamagedArchiveError(JobError):
     """Archive that does not match its manifests."""
+
+
+class WholeTarInfo(tarfile.TarInfo):
+    """Members of an archive up to its mark of the end; `tarfile` takes one that is cut within a header as ended."""
+
+    @classmethod
+    def fromtarfile(cls, tarfile: tarfile.TarFile) -> Self:  # the name is that of the standard library
+        """Return the next member. Raises tarfile.ReadError if neither one nor the end's mark follows."""
+        try:
+            return super().fromtarfile(tarfile)
+        except (EmptyHeaderError, InvalidHeaderError, TruncatedHeaderError) as error:
+            raise ReadError(f"cut off or damaged ({error})") from None
 
 
 def export_artifacts(store: ArtifactStore, target: BinaryIO) -> int:
@@ -68,7 +81,7 @@ def _read(source: BinaryIO, put: Callable[[str, bytes], object]) -> tuple[dict[s
     digests: dict[str, str] = {}
     manifests: dict[str, bytes] = {}
     try:
-        with tarfile.open(fileobj=source, mode="r|") as archive:
+        with tarfile.open(fileobj=source, mode="r|", tarinfo=WholeTarInfo) as archive:
             for entry in archive:
                 file = archive.extractfile(entry)
                 if file is None or not entry.name.startswith(f"{ARTIFACTS}/"):

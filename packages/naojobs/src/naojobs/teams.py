@@ -23,6 +23,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.sql.functions import Function
 
 from naojobs import policies
+from naojobs.archive import WholeTarInfo
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
@@ -157,7 +158,7 @@ class TeamArchive:
     def __init__(self, data: bytes) -> None:
         try:
             self.data = _unpacked(data)
-            with tarfile.open(fileobj=io.BytesIO(self.data), mode="r:") as archive:
+            with tarfile.open(fileobj=io.BytesIO(self.data), mode="r:", tarinfo=WholeTarInfo) as archive:
                 member = _checked(archive).get(TEAM_FILE)
                 if member is None or not member.isfile():
                     raise InvalidError(no_team_file("body"), "body")
