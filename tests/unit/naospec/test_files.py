@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from naospec.files import named_errors, partial_of, replacing, write_whole
+from naospec.files import named_errors, partial_of, replacing, together, write_whole
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
@@ -36,6 +36,24 @@ def test_a_file_is_replaced_whole_or_stays(tmp_path: Path) -> None:
     assert path.read_bytes() == b"\xff"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_are_written_together_or_not_at_all(tmp_path: Path) -> None:
+    first, second = tmp_path / "a", tmp_path / "b"
+    write_whole(first, "before")
+    with pytest.raises(KeyError), together():
+        write_whole(first, "one")
+        write_whole(second, "two")
+        raise KeyError
+    assert first.read_text(encoding="utf-8") == "before"
+    assert list(tmp_path.iterdir()) == [first]
+    with together():
+        with together():
+            write_whole(first, "one")
+        assert first.read_text(encoding="utf-8") == "before"
+        write_whole(second, "two")
+    assert [path.read_text(encoding="utf-8") for path in (first, second)] == ["one", "two"]
+    assert sorted(tmp_path.iterdir()) == [first, second]
 
 
 def test_what_a_process_that_ended_left_is_deleted(tmp_path: Path) -> None:

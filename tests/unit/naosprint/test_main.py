@@ -288,16 +288,18 @@ def test_an_interrupt_is_one_line_and_leaves_no_file(
     assert not list(folder.iterdir())
 
 
-def test_a_full_disk_leaves_whole_files_or_those_before(checkpoint: Path, tmp_path: Path) -> None:
-    """Of an evaluation that replaces another, and of an export."""
+def test_a_full_disk_leaves_all_files_or_those_before(checkpoint: Path, tmp_path: Path) -> None:
+    """Of an evaluation that replaces another, of which the first file fits; of an export and of a team."""
     arguments = ["evaluate", str(checkpoint), "--episodes", "2", "--bootstrap-resamples", "100", "--output"]
     assert main([*arguments, str(tmp_path)]) == 0
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    fits = (tmp_path / "evaluation.json").stat().st_size + 200
+    assert fits < (tmp_path / "replay.json").stat().st_size
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (200, limits[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (fits, limits[1]))
     try:
         assert main([*arguments, str(tmp_path), "--seed", "8"]) == 1
-        assert main(["export", str(checkpoint), str(tmp_path / "policy"), "--format", "c"]) == 1
+        assert main(["export", str(checkpoint), str(tmp_path / "policy"), "--format", "numpy"]) == 1
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before

@@ -14,6 +14,7 @@ import secrets
 import shutil
 import stat
 import tempfile
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,8 @@ _PARTIAL = re.compile(r"\..+\.(\d+)-(\d+)-([0-9a-f]{8})-[0-9a-f]{8}\.partial")
 """Names of unfinished files and folders: what they become, the process that writes them, its host, and random
 digits.
 """
+_written: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("written", default=None)
+"""Files that are written together, each under the name of an unfinished file and the one that it gets."""
 
 
 def open_regular(path: Path) -> BufferedReader:
@@ -152,11 +155,44 @@ def replacing(path: Path, *, mode: int = 0o666) -> Iterator[BufferedWriter]:
                 yield file
                 file.flush()
                 os.fsync(descriptor)
-            partial.replace(path)
-            sync(path.parent)
+            publish(partial, path)
         except BaseException:
             partial.unlink(missing_ok=True)
             raise
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Write several files: what this thread replaces within appears at the end, or after an error nothing of it.
+
+    Until then none of them can be read.
+    """
+    if _written.get() is not None:
+        yield
+        return
+    written: list[tuple[Path, Path]] = []
+    token = _written.set(written)
+    try:
+        yield
+    except BaseException:
+        for partial, _ in written:
+            partial.unlink(missing_ok=True)
+        raise
+    finally:
+        _written.reset(token)
+    for partial, path in written:
+        publish(partial, path)
+
+
+def publish(partial: Path, path: Path) -> Path:
+    """Give an unfinished file the name ``path``, within ``together`` at its end; return the name that it has now."""
+    written = _written.get()
+    if written is not None:
+        written.append((partial, path))
+        return partial
+    partial.replace(path)
+    sync(path.parent)
+    return path
 
 
 def write_whole(path: Path, data: str | bytes, *, mode: int = 0o666) -> None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import naopolicies
 from naosim.simulator import STEP_S
 from naospec import EvaluationSpec, TrainingSpec, recipes
-from naospec.files import replacing, write_whole
+from naospec.files import replacing, together, write_whole
 from naospec.flags import flag_name
 from naospec.flat import nest
 from naospec.job_files import JOB_FIELDS, load_job_file
@@ -226,10 +226,11 @@ def examine(options: argparse.Namespace) -> int:
 
         from naosprint.analysis import figures
 
-        write_whole(options.output / "examination.json", json_text(found.to_dict()))
-        if found.ranges:
-            with rc_context(figures.style()), replacing(options.output / "robustness.svg") as file:
-                figures.robustness(found.ranges, found.most_failures).savefig(file, format="svg")
+        with together():
+            write_whole(options.output / "examination.json", json_text(found.to_dict()))
+            if found.ranges:
+                with rc_context(figures.style()), replacing(options.output / "robustness.svg") as file:
+                    figures.robustness(found.ranges, found.most_failures).savefig(file, format="svg")
     return 0
 
 
@@ -347,13 +348,14 @@ def replay(options: argparse.Namespace) -> int:
     from naosprint.analysis.film import write_mp4
 
     recorded = evaluated(checkpoint, spec).replay
-    written = [*recorded.save(options.output)]
-    if not options.no_film:
-        written.append(options.output / "replay.mp4")
-        count = len(recorded.positions)
-        if options.film_seconds is not None:
-            count = min(count, max(1, round(options.film_seconds / STEP_S)))
-        write_mp4(recorded, written[-1], frames=range(count))
+    with together():
+        written = [*recorded.save(options.output)]
+        if not options.no_film:
+            written.append(options.output / "replay.mp4")
+            count = len(recorded.positions)
+            if options.film_seconds is not None:
+                count = min(count, max(1, round(options.film_seconds / STEP_S)))
+            write_mp4(recorded, written[-1], frames=range(count))
     for path in written:
         sys.stdout.write(f"{path}\n")
     end = (recorded.end or "time limit").lower()

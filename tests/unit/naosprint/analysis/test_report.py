@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import resource
 import shutil
 import time
 from collections.abc import Callable
@@ -101,6 +102,18 @@ def test_same_input_gives_the_same_pictures(evaluation: Path, tmp_path: Path) ->
         write_report(tmp_path / name, evaluation=evaluation, film=False)
     assert (tmp_path / "first/gait.svg").read_bytes() == (tmp_path / "second/gait.svg").read_bytes()
     assert not (tmp_path / "first/learning-curve.svg").exists()
+
+
+def test_a_film_that_does_not_fit_is_an_error(evaluation: Path, tmp_path: Path) -> None:
+    replay = load_replay(evaluation / "replay.json")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"run\.mp4: "):
+            write_mp4(replay, tmp_path / "run.mp4", frames=range(10))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not list(tmp_path.iterdir())
 
 
 def test_films_play(evaluation: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import json
 import os
+import re
 import select
 import shutil
 import socket
@@ -60,6 +61,18 @@ def test_a_skill_of_another_task_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="skill walk: expected a T1's policy of task velocity, got one of task getup"):
         write_example(tmp_path / "team", {skill: naopolicies.resolve(name) for skill, name in bundled.items()})
     assert not (tmp_path / "team").exists()
+
+
+@pytest.mark.skipif(
+    subprocess.run(["unshare", "-rm", "true"], capture_output=True, check=False).returncode != 0,
+    reason="no namespaces of users and mounts",
+)
+def test_a_full_disk_leaves_nothing_of_a_team(tmp_path: Path) -> None:
+    script = 'mount -t tmpfs -o size=100k tmpfs "$1" && ! "$2" -m naosprint team "$1/team" && ls -A "$1/team"'
+    command = ["unshare", "-rm", "sh", "-c", script, "sh", str(tmp_path), sys.executable]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")
+    assert re.fullmatch(rf"error: {tmp_path}/team/\S+: No space left on device\n", done.stderr)
 
 
 LANDLOCK = ctypes.CDLL(None, use_errno=True).syscall(444, None, ctypes.c_size_t(0), 1)

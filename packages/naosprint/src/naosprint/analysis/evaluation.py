@@ -17,7 +17,7 @@ from naosim import kinds
 from naosim.npz import write_npz
 from naosim.simulator import STEP_S, ServerLostError
 from naospec import formats
-from naospec.files import write_whole
+from naospec.files import together, write_whole
 from naospec.json_text import json_text
 from naospec.metrics import EPISODE_METRICS, Result, ResultTable, for_family
 
@@ -107,6 +107,7 @@ class EvaluationRun:
         values: dict[str, float | None] = {result["name"]: result["value"] for result in self.summary["results"]}
         return values[name]
 
+    @together()
     def save(self, directory: Path) -> tuple[Path, ...]:
         """Write ``evaluation.json``, ``trajectories.npz`` and the replay to ``directory`` and return their paths."""
         directory.mkdir(parents=True, exist_ok=True)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
+import subprocess
+import tempfile
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.font_manager import findfont
 from naosim.simulator import STEP_S
-from naospec.files import partial_of, replacing
+from naospec.files import partial_of, publish, replacing
 from PIL import Image, ImageDraw, ImageFont
 
 from naosprint.analysis.scene import Camera, robot_polygons, scale
@@ -129,18 +132,18 @@ def _rgb(colour: tuple[float, float, float, float]) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def write_mp4(replay: Replay, path: Path, *, frames: Sequence[int] | None = None) -> None:
-    """Write a replay as an H.264 film in real time, 50 pictures a second.
+def write_mp4(replay: Replay, path: Path, *, frames: Sequence[int] | None = None) -> Path:
+    """Write a replay as an H.264 film in real time, 50 pictures a second; return the path as `write_film` does.
 
     Raises:
         OSError: if imageio-ffmpeg is not installed.
     """
     chosen = range(len(replay.positions)) if frames is None else frames
-    write_film(path, _pictures(replay, chosen), size=(WIDTH_PX, HEIGHT_PX), rate=round(1.0 / STEP_S))
+    return write_film(path, _pictures(replay, chosen), size=(WIDTH_PX, HEIGHT_PX), rate=round(1.0 / STEP_S))
 
 
-def write_film(path: Path, pictures: Iterable[ByteArray], *, size: tuple[int, int], rate: int) -> None:
-    """Write pictures as an H.264 film.
+def write_film(path: Path, pictures: Iterable[ByteArray], *, size: tuple[int, int], rate: int) -> Path:
+    """Write pictures as an H.264 film and return the path of the file, which is another one within ``together``.
 
     Args:
         path: file to write.
@@ -149,32 +152,30 @@ def write_film(path: Path, pictures: Iterable[ByteArray], *, size: tuple[int, in
         rate: pictures a second.
 
     Raises:
-        OSError: if imageio-ffmpeg is not installed.
+        OSError: if imageio-ffmpeg is not installed, or the file cannot be written whole.
     """
     try:
-        import imageio_ffmpeg  # type: ignore[import-untyped]
+        from imageio_ffmpeg import get_ffmpeg_exe  # type: ignore[import-untyped]
     except ImportError as error:
         raise OSError("a film needs imageio-ffmpeg: pip install naosprint[film], or omit the film") from error
 
     partial = partial_of(path)
-    writer = imageio_ffmpeg.write_frames(
-        str(partial),
-        size,
-        fps=rate,
-        codec="libx264",
-        quality=None,
-        macro_block_size=2,
-        output_params=["-crf", "24", "-preset", "medium", "-movflags", "+faststart", "-f", "mp4"],
-        ffmpeg_log_level="error",
-    )
-    writer.send(None)
+    pixels = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {rate}"
+    coded = "-an -c:v libx264 -pix_fmt yuv420p -crf 24 -preset medium -movflags +faststart -f mp4"
+    command = [get_ffmpeg_exe(), "-y", "-v", "error", *pixels.split(), "-i", "-", *coded.split(), str(partial)]
     try:
-        try:
-            for picture in pictures:
-                writer.send(np.ascontiguousarray(picture))
-        finally:
-            writer.close()
-        partial.replace(path)
+        with tempfile.TemporaryFile() as errors:
+            with (
+                contextlib.suppress(BrokenPipeError),  # it has ended; its status says so
+                subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors) as ffmpeg,
+            ):
+                for picture in pictures:
+                    ffmpeg.stdin.write(np.ascontiguousarray(picture))  # type: ignore[union-attr]
+            errors.seek(0)
+            if ffmpeg.returncode != 0:
+                reason = errors.read().decode(errors="replace").strip().rpartition("] ")[2]
+                raise OSError(f"{path}: {reason or f'ffmpeg ended with status {ffmpeg.returncode}'}")
+        return publish(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise

@@ -15,7 +15,7 @@ from naosim import robots
 from naosim.npz import write_npz
 from naosim.robots.description import Shape, ShapeKind
 from naosim.simulator import STEP_S
-from naospec.files import read_json, write_whole
+from naospec.files import read_json, together, write_whole
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -102,6 +102,7 @@ class Replay:
         }
         return json.dumps(document, separators=(",", ":"), allow_nan=False) + "\n"
 
+    @together()
     def save(self, directory: Path) -> tuple[Path, Path]:
         """Write ``replay.json`` and ``replay.npz`` to ``directory`` and return their paths."""
         text, arrays = directory / "replay.json", directory / "replay.npz"

@@ -20,7 +20,7 @@ from naosim import robots
 from naosim.npz import read_npz
 from naosim.simulator import CONTACT_N, STEP_S
 from naospec import TrainingSpec, formats, validation_words
-from naospec.files import read_bounded, read_json, replacing, write_whole
+from naospec.files import read_bounded, read_json, replacing, together, write_whole
 from naospec.json_text import json_text
 from naospec.metrics import Chart, for_family
 from naospec.sections import require_plain_names
@@ -95,6 +95,7 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
     return [rows[step] for step in sorted(rows)]
 
 
+@together()
 def write_report(
     directory: Path, *, evaluation: Path, metrics: Path | None = None, title: str | None = None, film: bool = True
 ) -> Path:
@@ -124,7 +125,7 @@ def write_report(
     steps = len(replay.positions)
     if film:
         begin = _window(steps, spec)[0]
-        write_mp4(replay, directory / "run.mp4", frames=film_frames(replay))
+        mp4 = write_mp4(replay, directory / "run.mp4", frames=film_frames(replay))
         write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_STEPS, steps)))
     document = {"format": REPORT_FORMAT, "title": title, "evaluation": summary}
     write_whole(directory / "report.json", json_text(document))
@@ -140,7 +141,7 @@ def write_report(
             headline=_headline(summary),
             details=_details(summary, spec, rows),
             plots=[(plot, drawings[plot.name]) for plot in plots],
-            film=_data_url(directory / "run.mp4", "video/mp4") if film else None,
+            film=_data_url(mp4, "video/mp4") if film else None,
             film_caption=film_caption(replay, repeats=tasks.get(spec.task.name).presentation.repeats),
             references=[reference.title for reference in _references(spec)],
         ),

@@ -15,7 +15,7 @@ import re
 from typing import TYPE_CHECKING
 
 from naosim.npz import write_npz
-from naospec.files import write_whole
+from naospec.files import together, write_whole
 from naospec.json_text import json_text
 
 from naosprint.export.arrays import policy_arrays
@@ -39,6 +39,7 @@ logger = logging.getLogger(__name__)
 _NAME = re.compile(r"(?=.{1,40}$)[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
+@together()
 def export_policy(
     checkpoint: Path,
     directory: Path,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import naopolicies
-from naospec.files import read_json
+from naospec.files import read_json, together, write_whole
 from naospec.teams import EXAMPLE, ROBOT, SKILLS, TEAM_FILE, no_team_file, skills_of, team_command
 
 from naosprint.export.skill import write_skill
@@ -115,13 +114,16 @@ def write_example(folder: Path, checkpoints: Mapping[str, Path]) -> Team:
             )
         found.append((skill, policy, manifest))
     folder.mkdir(parents=True, exist_ok=True)
+    copies: dict[str, bytes] = {}
     for skill, policy, manifest in found:
         with tempfile.TemporaryDirectory() as scratch:
             files = {path.name: path for path in write_skill(policy, manifest, Path(scratch))}
             for name, copy in (("policy.npz", f"{skill}.npz"), ("runner.py", "runner.py"), ("terms.py", "terms.py")):
-                shutil.copyfile(files[name], folder / copy)
-    for path in sorted(_PLAYER.glob("*.py")):
-        shutil.copyfile(path, folder / path.name)
+                copies[copy] = files[name].read_bytes()
+    copies |= {path.name: path.read_bytes() for path in sorted(_PLAYER.glob("*.py"))}
     command = ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}", "{players}"]
-    (folder / TEAM_FILE).write_text(json.dumps({"command": command}) + "\n", encoding="utf-8")
+    copies[TEAM_FILE] = json.dumps({"command": command}).encode() + b"\n"
+    with together():
+        for name, data in copies.items():
+            write_whole(folder / name, data)
     return read_team(folder)
