@@ -362,6 +362,7 @@ def test_another_charset_changes_no_file(checkpoint: Path, tmp_path: Path) -> No
     [
         (["examine", "sprint", "--episodes", "1", "--only", "motion"], "--only: motion: cannot be examined"),
         (["handover", "--only", "getup", "--transitions", "1", "--engine", "fast"], "--only: getup: no transition"),
+        (["evaluate", "t1-run", "--task", "kick", "--episodes", "1"], "ball_left; tasks that fit it: velocity\n"),
     ],
 )
 def test_a_choice_of_which_nothing_is_left_is_refused(
@@ -370,6 +371,11 @@ def test_a_choice_of_which_nothing_is_left_is_refused(
     """It printed an empty table, or nothing, and succeeded."""
     assert main(arguments) == 1
     assert words in capsys.readouterr().err
+
+
+def test_a_setting_that_the_policys_robot_lacks_is_named_by_its_flag(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "sprint", "--engine", "fast"]) == 2
+    assert capsys.readouterr().err.startswith("--engine: embedded with robot nao-0 has no such setting")
 
 
 def test_a_reader_that_ends_early_is_no_error() -> None:

@@ -7,6 +7,7 @@ import itertools
 import json
 from collections.abc import Mapping
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -360,10 +361,21 @@ class EvaluationSpec(_Specification):
             content["simulator"] = {"name": self.simulator}
         if self.engine is not None:
             content["simulator"] = {**content["simulator"], "engine": self.engine}
-        return TrainingSpec.model_validate(content)
+        try:
+            return TrainingSpec.model_validate(content)
+        except ValidationError as error:
+            raise _at(
+                (), error, {path: (name,) for name, path in _APPLIED if getattr(self, name) is not None}
+            ) from None
 
 
 _ALWAYS_WRITTEN = {"name", "preset"}
+_APPLIED = (
+    ("simulator", ("simulator", "name")),
+    ("engine", ("simulator", "engine")),
+    ("start_noise_deg", ("task", "start_noise_deg")),
+)
+"""Settings of an evaluation that have another path in the training's specification."""
 
 Spec = TypeVar("Spec", bound=_Specification)
 
@@ -404,12 +416,16 @@ def _refuse_misplaced(
         raise ValidationError.from_exception_data(title, errors)
 
 
-def _at(place: tuple[str | int, ...], error: ValidationError) -> ValidationError:
-    """Return the same errors under the path ``place``."""
+def _at(
+    place: tuple[str | int, ...],
+    error: ValidationError,
+    others: Mapping[tuple[str | int, ...], tuple[str | int, ...]] = MappingProxyType({}),
+) -> ValidationError:
+    """Return the same errors under the path ``place``; paths that ``others`` has are replaced first."""
     lines: list[InitErrorDetails] = [
         {
             "type": PydanticCustomError(item["type"], item["msg"].replace("{", "(").replace("}", ")")),
-            "loc": (*place, *item["loc"]),
+            "loc": (*place, *others.get(item["loc"], item["loc"])),
             "input": item["input"],
         }
         for item in error.errors()

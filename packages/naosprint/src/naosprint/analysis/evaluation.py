@@ -6,6 +6,7 @@ meaning, so that it can be shown without the task.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections import Counter
 from dataclasses import dataclass, fields
@@ -16,7 +17,7 @@ import numpy as np
 from naosim import kinds
 from naosim.npz import write_npz
 from naosim.simulator import STEP_S, ServerLostError
-from naospec import formats
+from naospec import EvaluationSpec, formats, plugins
 from naospec.files import together, write_whole
 from naospec.json_text import json_text
 from naospec.metrics import EPISODE_METRICS, Result, ResultTable, for_family
@@ -34,9 +35,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from naospec import EvaluationSpec, TrainingSpec
+    from naospec import TrainingSpec
 
     from naosprint.arrays import BoolArray, Float32Array, FloatArray, IntArray
+    from naosprint.rl.checkpoint import Manifest
     from naosprint.rl.policy import Policy
     from naosprint.tasks import Task
     from naosprint.tasks.environment import Environment
@@ -154,7 +156,7 @@ def evaluate(
     most = kinds.get(setting.simulator.name).max_robots()
     environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=seed)
     try:
-        _require_fit(environment, manifest.observations)
+        _require_fit(environment, manifest)
         _require_grown(environment.task)
         starts = environment.task.starts(spec.episodes, seed, setting.task.start_noise_deg)
         environment.load_starts(starts)
@@ -210,12 +212,30 @@ def _engine(setting: TrainingSpec) -> dict[str, str]:
     return {} if engine is None else {"engine": engine}
 
 
-def _require_fit(environment: Environment, observations: tuple[str, ...]) -> None:
+def _require_fit(environment: Environment, manifest: Manifest) -> None:
+    observations = manifest.observations
     if environment.observer.names == observations:
         return
     differing = sorted(set(observations).symmetric_difference(environment.observer.names))
     names = ", ".join(differing[:8]) or "the same in another order"
-    raise ValueError(f"task: the policy was trained with other observations: {names}")
+    raise ValueError(
+        f"task {environment.task.name}: the policy was trained with other observations: {names}; tasks that fit it: "
+        f"{', '.join(_fitting(manifest))}"
+    )
+
+
+def _fitting(manifest: Manifest) -> list[str]:
+    """Return the tasks with a policy's observations."""
+    found = [manifest.stage_spec.task.name]
+    for name in plugins.names(plugins.TASKS):
+        with contextlib.suppress(
+            OSError, ValueError, plugins.BrokenPluginError
+        ):  # tasks of other robots, and plug-ins that are broken
+            setting = EvaluationSpec(task=name, simulator="embedded").applied_to(manifest.stage_spec)
+            with contextlib.closing(open_environment(setting, 1, threads=1)) as environment:
+                if environment.observer.names == manifest.observations:
+                    found.append(name)
+    return sorted(set(found))
 
 
 def _require_grown(task: Task) -> None:
