@@ -1,4 +1,6 @@
-"""Measure what each means of training is worth; write the study's record and plot beside this file.
+"""Measure what each means of training is worth; write the study's record and plot.
+
+They replace those beside this file, unless steps or episodes are chosen: then they are below build.
 
     python benchmarks/learning/ablation.py ablation WORKDIR --jobs 2    # hours of two cores
     python benchmarks/learning/ablation.py teacher WORKDIR --jobs 2
@@ -23,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from naospec.files import write_whole
 from naospec.json_text import json_text
 from naosprint.programs import integer, run_program
 from naosprint.threads import quiet_openmp
@@ -34,10 +37,11 @@ from naosprint.analysis import figures, robustness  # noqa: E402
 from naosprint.analysis.results import by_name  # noqa: E402
 from naosprint.rl.checkpoint import read_manifest  # noqa: E402
 from naosprint.threads import set_learner_threads  # noqa: E402
-from run import ONE_CORE, machine, spec_of, trained  # noqa: E402
+from run import ONE_CORE, TRIALS, machine, require_writable, spec_of, trained  # noqa: E402
 
 HERE = Path(__file__).parent
 SEEDS = (1, 2, 3)
+EPISODES = 50
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,7 @@ def table(study: Study, runs: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def plot(name: str, study: Study, runs: list[dict[str, Any]]) -> None:
+def plot(path: Path, study: Study, runs: list[dict[str, Any]]) -> None:
     """Draw falls and the result under every condition: a point for each seed, a bar for their mean."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -210,7 +214,7 @@ def plot(name: str, study: Study, runs: list[dict[str, Any]]) -> None:
         labels = [each.split(" (")[0] for each in conditions]
         panels[1].set_xticks(np.arange(len(conditions)), labels, rotation=25, ha="right", rotation_mode="anchor")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8.5)
-        figure.savefig(HERE / f"{name}.png", dpi=130)
+        figure.savefig(path, dpi=130)
 
 
 def main() -> int:
@@ -219,17 +223,23 @@ def main() -> int:
     parser.add_argument("study", choices=STUDIES)
     parser.add_argument("workdir", type=Path, help="directory for trainings; may be deleted afterwards")
     parser.add_argument("--steps", type=integer(), help="of each training (default: the study's)")
-    parser.add_argument("--episodes", type=integer(), default=50, help="under each condition (default: %(default)s)")
+    parser.add_argument(
+        "--episodes", type=integer(), default=EPISODES, help="under each condition (default: %(default)s)"
+    )
     parser.add_argument(
         "--jobs", type=integer(), default=2, help="trainings at a time, a core each (default: %(default)s)"
     )
     parser.add_argument("--only", choices=["plot"], help="draw again what the study's record contains")
+    parser.add_argument("-o", "--output", type=Path, help="folder for record and plot")
     options = parser.parse_args()
-    study, record = STUDIES[options.study], HERE / f"{options.study}.json"
+    study = STUDIES[options.study]
+    size = (options.steps or study.steps, options.episodes)
+    output = options.output or (HERE if size == (study.steps, EPISODES) else TRIALS)
+    record = output / f"{options.study}.json"
+    require_writable(output)
     if options.only != "plot":
         wanted = [(variant, seed) for variant in study.variants for seed in SEEDS]
         with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
-            size = (options.steps or study.steps, options.episodes)
             futures = {pool.submit(measured, options.workdir, study, *one, *size): one for one in wanted}
             runs = []
             for future in as_completed(futures):
@@ -237,10 +247,10 @@ def main() -> int:
                 print(*futures[future], runs[-1]["conditions"], flush=True)
         runs.sort(key=lambda run: wanted.index((run["variant"], run["seed"])))
         found = {"steps": size[0], "episodes": options.episodes, "runs": runs}
-        record.write_text(json_text(found), encoding="utf-8")
+        write_whole(record, json_text(found))
     runs = json.loads(record.read_text(encoding="utf-8"))["runs"]
     print(table(study, runs))
-    plot(options.study, study, runs)
+    plot(record.with_suffix(".png"), study, runs)
     return 0
 
 

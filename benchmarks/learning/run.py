@@ -1,8 +1,10 @@
-"""Measure results and speed of learning; write results.json and the plots beside this file.
+"""Measure results and speed of learning; write results.json and the plots.
+
+They replace those beside this file; of some sections they are below build, or where --output says.
 
     python benchmarks/learning/run.py WORKDIR                    # everything, hours of two quiet cores
     python benchmarks/learning/run.py WORKDIR --only throughput  # or some of it
-    python benchmarks/learning/run.py WORKDIR --only plots       # draw again from results.json
+    python benchmarks/learning/run.py WORKDIR --only plots -o benchmarks/learning  # draw again from results.json
 
 Trainings are stored in WORKDIR and are continued, not repeated, when the script is called again. Each runs on one core,
 so that two sections can be measured in parallel on two.
@@ -16,6 +18,7 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
 import time
 from datetime import UTC, datetime
 from functools import partial
@@ -23,6 +26,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from naospec.files import write_whole
 from naospec.json_text import json_text
 from naosprint.programs import run_program
 from naosprint.threads import quiet_openmp, set_learner_threads
@@ -47,7 +51,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 HERE = Path(__file__).parent
-RESULTS = HERE / "results.json"
+TRIALS = HERE.parents[1] / "build" / "benchmarks" / "learning"
+"""Folder of what replaces no committed results."""
 
 SEEDS = (0, 1, 2)
 STEPS = 10_000_000
@@ -247,9 +252,9 @@ def sac(workdir: Path) -> dict[str, Any]:
         folder = workdir / "packages"
         pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--upgrade"]
         subprocess.run([*pip, "--target", str(folder), str(SAC_PACKAGE)], check=True)
-        command = [sys.executable, __file__, str(workdir), "--only", "sac"]
+        command = [sys.executable, __file__, str(workdir), "--only", "sac", "--output", str(folder)]
         subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(folder)})
-        found: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))["sac"]
+        found: dict[str, Any] = json.loads((folder / "results.json").read_text(encoding="utf-8"))["sac"]
         return {name: value for name, value in found.items() if name != "measured"}
     chosen = {
         "n_envs": 32,
@@ -448,7 +453,13 @@ def machine() -> dict[str, Any]:
     }
 
 
-def plots(results: dict[str, Any]) -> None:
+def require_writable(output: Path) -> None:
+    """Make a folder, and write there before anything is measured for it. Raises OSError."""
+    output.mkdir(parents=True, exist_ok=True)
+    tempfile.TemporaryFile(dir=output).close()
+
+
+def plots(results: dict[str, Any], output: Path) -> None:
     """Plot the curves in results.json."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -461,9 +472,9 @@ def plots(results: dict[str, Any]) -> None:
             lines = [(f"fast, seed {run['seed']}", run, palette[i]) for i, run in enumerate(results["seeds"]["runs"])]
             if "paper" in results:
                 lines.append(("paper, seed 0", results["paper"], "#555c65"))
-            _curves(lines, "learning")
+            _curves(lines, output / "learning.png")
         if "sac" in results:
-            _curves([("sac, seed 0", results["sac"], palette[1])], "sac")
+            _curves([("sac, seed 0", results["sac"], palette[1])], output / "sac.png")
         if "long" in results:
             run = results["long"]
             figure = Figure(figsize=(9.0, 4.0), layout="constrained")
@@ -479,10 +490,10 @@ def plots(results: dict[str, Any]) -> None:
             axes.set_ylabel("speed, m/s")
             axes.set_xlabel("environment steps, millions")
             axes.legend(loc="lower right", fontsize=8.5)
-            _save(figure, "long")
+            figure.savefig(output / "long.png", dpi=130)
 
 
-def _curves(runs: Sequence[tuple[str, dict[str, Any], str]], name: str) -> None:
+def _curves(runs: Sequence[tuple[str, dict[str, Any], str]], path: Path) -> None:
     """Plot what lists of jobs show of some trainings, each with label and color, and evaluations on the way."""
     from matplotlib.figure import Figure
 
@@ -503,11 +514,7 @@ def _curves(runs: Sequence[tuple[str, dict[str, Any], str]], name: str) -> None:
     panels[0].legend(loc="lower right", fontsize=8.5)
     panels[0].set_title("points: the deterministic policy; thin lines: training, exploring", fontsize=8.5)
     panels[-1].set_xlabel("environment steps, millions")
-    _save(figure, name)
-
-
-def _save(figure: Any, name: str) -> None:
-    figure.savefig(HERE / f"{name}.png", dpi=130)
+    figure.savefig(path, dpi=130)
 
 
 def main() -> int:
@@ -515,11 +522,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("workdir", type=Path, help="directory for trainings; may be deleted afterwards")
     parser.add_argument("--only", nargs="+", choices=[*SECTIONS, "plots"], help="some sections instead of all")
+    parser.add_argument("-o", "--output", type=Path, help="folder for results.json and plots")
     options = parser.parse_args()
-    results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    output = options.output or (TRIALS if options.only else HERE)
+    require_writable(output)
+    stored = output / "results.json"
+    results: dict[str, Any] = json.loads(stored.read_text(encoding="utf-8")) if stored.exists() else {}
     for name in options.only or [*SECTIONS, "plots"]:
         if name == "plots":
-            plots(results)
+            plots(results, output)
             continue
         print(name)
         results[name] = {
@@ -527,9 +538,9 @@ def main() -> int:
             "measured": {"on": datetime.now(UTC).date().isoformat(), **machine()},
         }
         # another section may have been measured meanwhile
-        latest = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+        latest = json.loads(stored.read_text(encoding="utf-8")) if stored.exists() else {}
         results = {**latest, name: results[name]}
-        RESULTS.write_text(json_text(results), encoding="utf-8")
+        write_whole(stored, json_text(results))
     return 0
 
 

@@ -77,3 +77,17 @@ def test_a_service_ends_with_the_program_that_is_terminated() -> None:
         program.terminate()
         assert program.wait(60) == 128 + signal.SIGTERM
     assert not api.is_running()
+
+
+def test_a_study_and_some_sections_are_written_to_the_folder_that_is_given(tmp_path: Path) -> None:
+    """Here they are drawn again from committed results, which stay as they are."""
+    learning = ROOT / "benchmarks/learning"
+    before = {path: path.read_bytes() for path in (learning / "teacher.png", learning / "sac.png")}
+    for program, record in (("ablation.py teacher", "teacher.json"), ("run.py", "results.json")):
+        shutil.copy(learning / record, tmp_path)
+        name, *words = program.split()
+        command = [sys.executable, str(learning / name), *words, str(tmp_path), "--only"]
+        only = "plot" if words else "plots"
+        subprocess.run([*command, only, "-o", str(tmp_path)], check=True, stdout=subprocess.DEVNULL)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".json", ".png"}
+    assert all((tmp_path / path.name).is_file() and path.read_bytes() == data for path, data in before.items())
