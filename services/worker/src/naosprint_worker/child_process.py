@@ -19,17 +19,16 @@ from pathlib import Path
 from types import FrameType
 from typing import TypeVar
 
-from naojobs import outcomes
 from naojobs.database import Sessions, make_sessions
-from naojobs.errors import ConflictError, LeaseLostError
+from naojobs.errors import LeaseLostError
 from naojobs.store import ArtifactStore, CorruptArtifactError, MissingArtifactError, StoreError, StoreManifest
 from naosim.launchers import LauncherUnavailableError
 from naosim.simulator import ServerLostError, ServersUnavailableError
 
-from naosprint_worker.assignment import read_lease
 from naosprint_worker.child import TRACEBACK_SIGNAL
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
+from naosprint_worker.orphans import settle_orphan
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, Outcome, TrainerExitCode
 from naosprint_worker.progress import Progress
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
@@ -186,18 +185,6 @@ class Services:
         """
         with self.progress.waiting():
             return retry(call, what=what, transient=DATABASE_ERRORS, patience_s=self.settings.worker_patience_s)
-
-
-def settle_orphan(sessions: Sessions, workdir: Path, outcome: Outcome | None = None) -> None:
-    """Settle the work of a child whose worker has died; otherwise it would wait until the lease expires.
-
-    It has succeeded if the child has finished and all is stored, and is queued again otherwise.
-    """
-    with contextlib.suppress(LeaseLostError, ConflictError, *DATABASE_ERRORS):
-        lease = read_lease(workdir)
-        finished = outcome is not None and outcome.code is TrainerExitCode.FINISHED
-        if not finished or outcomes.succeed(sessions, lease) is not None:
-            outcomes.lose(sessions, lease, f"worker {lease.owner} died")
 
 
 def run_child(work: Callable[[Services], Outcome], *, oom_score: int = TRAINER_OOM_SCORE) -> int:

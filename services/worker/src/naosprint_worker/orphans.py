@@ -7,11 +7,19 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import psutil
+from naojobs import leases, outcomes
+from naojobs.database import Sessions
+from naojobs.errors import ConflictError, LeaseLostError
+from naospec.files import write_whole
 from naospec.processes import ProcessIdentity
+
+from naosprint_worker.assignment import read_lease
+from naosprint_worker.database import DATABASE_ERRORS
+from naosprint_worker.outcome import Outcome, TrainerExitCode
 
 OWNER_VARIABLE = "NAOSPRINT_CHILD_OF"
 """Environment variable of a child that contains its worker's identity."""
@@ -28,6 +36,49 @@ def child_marks(folder: Path) -> dict[str, str]:
     return {OWNER_VARIABLE: str(ProcessIdentity.current()), FOLDER_VARIABLE: str(folder.resolve())}
 
 
+def touch_owner(folder: Path) -> None:
+    """Show that this process, the worker of a working folder, lives; make the folder where it is missing."""
+    try:
+        os.utime(folder / OWNER_FILE)
+    except FileNotFoundError:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / OWNER_FILE, str(ProcessIdentity.current()))
+
+
+def settle_orphan(sessions: Sessions, workdir: Path, outcome: Outcome | None = None) -> None:
+    """Settle the work of a child whose worker has died; otherwise it would wait until the lease expires.
+
+    It has succeeded if the child has finished and all is stored, and is queued again otherwise.
+    """
+    with contextlib.suppress(LeaseLostError, ConflictError, *DATABASE_ERRORS):
+        lease = read_lease(workdir)
+        finished = outcome is not None and outcome.code is TrainerExitCode.FINISHED
+        if not finished or outcomes.succeed(sessions, lease) is not None:
+            outcomes.lose(sessions, lease, f"worker {lease.owner} died")
+
+
+def attempt_is_over(sessions: Sessions, workdir: Path) -> bool:
+    """Return whether the attempt in ``workdir``, whose worker is gone, no longer has its lease; settle a finished one.
+
+    A child that finishes just before its worker dies does not notice that it is an orphan. A folder without an
+    assignment has no attempt. As long as the database does not answer, none is over.
+    """
+    try:
+        lease = read_lease(workdir)
+    except (OSError, ValueError, KeyError):
+        return True
+    outcome = Outcome.read(workdir)
+    if outcome is not None and outcome.code is TrainerExitCode.FINISHED:
+        settle_orphan(sessions, workdir, outcome)
+    try:
+        leases.read_requests(sessions, lease)
+    except LeaseLostError:
+        return True
+    except DATABASE_ERRORS:
+        pass
+    return False
+
+
 class OrphanSweeper:
     """Kill processes whose environment names a worker that is gone, and then remove its working folder.
 
@@ -37,11 +88,16 @@ class OrphanSweeper:
 
     A worker of another host or container cannot be seen from here, for example one in a container that was made again
     on the same volume. It has gone if nothing was touched in its folder for ``untouched_s`` seconds of this process.
+
+    A folder stays as long as one of the attempts in it is not over: ``is_over`` takes the attempt's folder.
     """
 
-    def __init__(self, folder: Path, *, grace_s: float, untouched_s: float = UNTOUCHED_S) -> None:
+    def __init__(
+        self, folder: Path, is_over: Callable[[Path], bool], *, grace_s: float, untouched_s: float = UNTOUCHED_S
+    ) -> None:
         """Start without known orphans."""
         self._folder = folder.resolve()
+        self._is_over = is_over
         self._grace_s, self._untouched_s = grace_s, untouched_s
         self._touched: dict[Path, tuple[Sequence[int], float]] = {}
         """By working folder, the times of its files, and since when these are known."""
@@ -69,7 +125,7 @@ class OrphanSweeper:
                     ended.append(process.pid)
         self._first_seen = seen
         for folder, owner in left:
-            if owner not in owners:
+            if owner not in owners and all([self._is_over(attempt) for attempt in folder.glob("*/")]):
                 shutil.rmtree(folder, ignore_errors=True)
         return ended
 
@@ -86,9 +142,7 @@ class OrphanSweeper:
         for mark in self._folder.glob(f"*/{OWNER_FILE}"):
             with contextlib.suppress(OSError):
                 owner = ProcessIdentity.parse(mark.read_text(encoding="utf-8", errors="replace"))
-                if owner == ProcessIdentity.current():
-                    os.utime(mark)
-                elif owner is None or owner.is_gone() or self._untouched(mark.parent, known):
+                if owner is None or owner.is_gone() or self._untouched(mark.parent, known):
                     left.append((mark.parent, owner))
         return left
 

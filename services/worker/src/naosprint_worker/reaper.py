@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import random
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from naojobs import outcomes, registry
 from naojobs.database import Sessions
@@ -12,7 +13,7 @@ from naojobs.states import WorkState
 from naosim.launchers import reap_servers
 
 from naosprint_worker.context import WorkerContext
-from naosprint_worker.orphans import OrphanSweeper
+from naosprint_worker.orphans import OrphanSweeper, attempt_is_over, touch_owner
 
 logger = logging.getLogger(__name__)
 
@@ -45,11 +46,14 @@ class Reaper:
         """Prepare; `wake` sends wake-up messages for pairs of work and queue."""
         self._context = context
         self._wake = wake
-        self._orphans = OrphanSweeper(context.settings.worker_dir, grace_s=context.settings.worker_orphan_grace_s + 5)
+        is_over = partial(attempt_is_over, context.sessions)
+        grace_s = context.settings.worker_orphan_grace_s + 5
+        self._orphans = OrphanSweeper(context.settings.worker_dir, is_over, grace_s=grace_s)
         self.lost = LostWork(context.sessions, context.settings.lease_s)
 
     def sweep(self) -> None:
         """Check everything once."""
+        touch_owner(self._context.folder)
         for pid in self._orphans.sweep():
             logger.warning("ended process %d, whose worker is gone", pid)
         self._remove_servers()

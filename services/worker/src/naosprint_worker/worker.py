@@ -19,7 +19,7 @@ from naojobs.models import AnyWork, Evaluation, Job, Match, WorkKind
 from naojobs.notifications import Notifier, make_celery
 from naojobs.preemption import make_room
 from naojobs.store import ArtifactStore, StoreError
-from naospec.files import private_folder, write_whole
+from naospec.files import private_folder
 from naospec.processes import ProcessIdentity
 from sqlalchemy import Engine
 
@@ -28,7 +28,7 @@ from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.context import WorkerContext
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.memory import MIB, MemoryBudget
-from naosprint_worker.orphans import OWNER_FILE
+from naosprint_worker.orphans import touch_owner
 from naosprint_worker.reaper import Reaper
 from naosprint_worker.retry import describe
 from naosprint_worker.runs import Run
@@ -84,8 +84,7 @@ class WorkLoop:
         """Register and start to claim work, without waiting for the broker."""
         settings = self._settings
         private_folder(settings.worker_dir)
-        self._context.folder.mkdir(parents=True, exist_ok=True)
-        write_whole(self._context.folder / OWNER_FILE, str(ProcessIdentity.current()))
+        touch_owner(self._context.folder)
         for name, period_s, duty, wake in (
             ("beat", settings.heartbeat_s, self._beat, self._stopping),
             ("reap", settings.worker_reap_s, self._reaper.sweep, self._stopping),
