@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import subprocess
+import sys
 
 import pytest
 from naojobs import matches, outcomes
@@ -19,6 +21,7 @@ from naosprint.matches.match import log_name
 from naosprint_worker import match
 from naosprint_worker.assignment import write_assignment
 from naosprint_worker.child_process import Services, StopRequest
+from naosprint_worker.orphans import attempt_is_over
 from naosprint_worker.outcome import Outcome, TrainerExitCode
 from naosprint_worker.progress import Progress
 
@@ -26,7 +29,7 @@ from tests.integration.attempts import claim_work
 from tests.unit.naojobs.test_team_archives import TEAM, packed
 from tests.unit.naosprint.matches.test_results import game
 
-from .conftest import Service
+from .conftest import Postgres, Service
 
 
 def claim_match(service: Service, match_id: str) -> MatchClaim:
@@ -103,3 +106,43 @@ def test_a_match_that_this_worker_cannot_play_is_tried_again(service: Service, m
     outcome = attempt(service, claim_match(service, submit_match(service)))
     assert (outcome.code, outcome.kind, outcome.traceback) == (TrainerExitCode.TRANSIENT, "system", "")
     assert "a process of this machine" in outcome.message
+
+
+def test_a_match_whose_worker_died_is_queued_again_by_its_own_process(service: Service) -> None:
+    """It reads the end of its standard input, as when the worker's end of the pipe is closed."""
+    match_id = submit_match(service)
+    workdir = service.folder / "work" / "1"
+    workdir.mkdir(parents=True)
+    write_assignment(claim_match(service, match_id), workdir)
+    command = [sys.executable, "-m", "naosprint_worker.match", "--workdir", str(workdir)]
+    process = subprocess.Popen(command, env=service.environment, stdin=subprocess.DEVNULL, start_new_session=True)
+    assert process.wait(120) == TrainerExitCode.STOPPED
+    with service.sessions() as session:
+        row = session.get_one(Match, match_id)
+    assert (row.state, row.failures, row.error) == (WorkState.QUEUED, 1, "worker worker died")
+
+
+def test_a_match_that_finished_just_before_its_worker_died_has_succeeded(service: Service, postgres: Postgres) -> None:
+    """Its process has left its report, and no worker was there to read it."""
+    match_id = submit_match(service)
+    claim = claim_match(service, match_id)
+    outcome = attempt(service, claim, 1, 2)
+    workdir = service.folder / "work" / str(claim.lease.attempt)
+    assert not attempt_is_over(service.sessions, workdir)  # its process has reported nothing
+    outcome.write(workdir)
+    with postgres.read_only(service.engine.url.database or ""):
+        assert not attempt_is_over(service.sessions, workdir)
+    assert attempt_is_over(service.sessions, workdir)
+    with service.sessions() as session:
+        assert session.get_one(Match, match_id).state is WorkState.SUCCEEDED
+
+
+def test_an_attempt_without_its_lease_or_its_assignment_is_over(service: Service) -> None:
+    claim = claim_match(service, submit_match(service))
+    workdir = service.folder / "work"
+    workdir.mkdir()
+    assert attempt_is_over(service.sessions, workdir)
+    write_assignment(claim, workdir)
+    assert not attempt_is_over(service.sessions, workdir)
+    outcomes.lose(service.sessions, claim.lease, "lease expired")
+    assert attempt_is_over(service.sessions, workdir)
