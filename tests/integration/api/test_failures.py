@@ -12,6 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
+from naojobs.database import REVISION
 from sqlalchemy import Engine, create_engine, text
 
 
@@ -55,6 +56,32 @@ def test_a_database_that_became_read_only_is_one_that_is_away(
     set_read_only(False)
     assert client.post(f"/jobs/{job}/cancel").status_code in (200, 503)
     assert client.post(f"/jobs/{job}/cancel").status_code == 200, "a new connection reaches the new server"
+
+
+@pytest.fixture
+def migrate(engine: Engine) -> Iterator[Callable[[str], None]]:
+    """Rename a column of jobs, as a migration of another version may, and record that version's revision."""
+
+    def rename(revision: str, old: str, new: str) -> None:
+        with engine.begin() as connection:
+            connection.execute(text(f"ALTER TABLE jobs RENAME COLUMN {old} TO {new}"))
+            connection.execute(text("UPDATE alembic_version SET version_num = :revision"), {"revision": revision})
+
+    yield lambda revision: rename(revision, "notes", "remarks")
+    rename(REVISION, "remarks", "notes")
+
+
+@pytest.mark.parametrize(("revision", "status"), [("9999", 503), (REVISION, 500)])
+def test_a_database_of_another_version_is_named(
+    client: httpx.Client, migrate: Callable[[str], None], revision: str, status: int
+) -> None:
+    """After an upgrade of the database an API of the version before may still be asked; all else is a defect."""
+    job = client.post("/jobs", json={}).json()["id"]
+    migrate(revision)
+    for method, path, body in (("GET", f"/jobs/{job}", None), ("POST", "/jobs", {}), ("GET", "/jobs", None)):
+        answer = client.request(method, path, json=body)
+        assert (answer.status_code, "retry-after" in answer.headers) == (status, status == 503), (path, answer.text)
+        assert (f"revision 9999, this version needs {REVISION}" in answer.json()["detail"]) is (status == 503)
 
 
 def test_a_full_disk_of_the_database_is_named(client: httpx.Client, engine: Engine) -> None:

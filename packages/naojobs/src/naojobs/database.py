@@ -204,6 +204,12 @@ def _unavailable(context: ExceptionContext, *kinds: type[psycopg.Error]) -> Exce
     )
 
 
+def schema_mismatch(session: Session) -> str:
+    """Return in words how the database's schema differs from the one of this version; empty if it does not."""
+    revision = session.scalar(text("SELECT version_num FROM alembic_version"))
+    return "" if revision == REVISION else f"the database has revision {revision}, this version needs {REVISION}"
+
+
 def make_sessions(engine: Engine, *, read_only: bool = False) -> Sessions:
     """Return a maker of sessions whose objects stay readable after the commit.
 

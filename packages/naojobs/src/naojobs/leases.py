@@ -15,14 +15,14 @@ from typing import Any, TypeAlias, cast
 import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validation_words
 from pydantic import ValidationError
-from sqlalchemy import ColumnElement, Row, ScalarSelect, and_, false, func, or_, select, text, update
+from sqlalchemy import ColumnElement, Row, ScalarSelect, and_, false, func, or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
 from naojobs.changes import W, add_event, announce, change, lock
 from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
-from naojobs.database import REVISION, Sessions, is_due, is_outage, notify, one_statement
+from naojobs.database import Sessions, is_due, is_outage, notify, one_statement, schema_mismatch
 from naojobs.errors import LeaseLostError, OtherSchemaError
 from naojobs.models import (
     WORK,
@@ -160,11 +160,8 @@ def claim_next(
         chosen = None
         try:
             with sessions.begin() as session:
-                if (revision := session.scalar(text("SELECT version_num FROM alembic_version"))) != REVISION:
-                    raise OtherSchemaError(
-                        f"the database has revision {revision}, this version needs {REVISION}: this worker claims "
-                        "no work; run the same version on all hosts"
-                    )
+                if mismatch := schema_mismatch(session):
+                    raise OtherSchemaError(f"{mismatch}: this worker claims no work; run the same version on all hosts")
                 # The lock lets a drain wait, which then finds what is claimed here.
                 row = select(Worker.drained_at).where(Worker.id == worker).with_for_update(read=True)
                 if session.scalar(row) is not None:

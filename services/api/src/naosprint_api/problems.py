@@ -7,15 +7,17 @@ from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
+from anyio import to_thread
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from fastapi.routing import APIRoute
+from naojobs.database import Sessions, schema_mismatch
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, QuotaError
 from naojobs.store import MissingArtifactError, StoreError
 from psycopg.errors import DiskFull, LockNotAvailable, ReadOnlySqlTransaction
 from pydantic import BaseModel, Field
-from sqlalchemy.exc import DBAPIError, OperationalError
+from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
@@ -132,6 +134,15 @@ def allowed_methods(routers: Sequence[APIRouter], path: str) -> set[str]:
     }
 
 
+def _schema_mismatch(sessions: Sessions) -> str:
+    """Return how the database's schema differs from the API's, as after an upgrade; empty if that is not known."""
+    try:
+        with sessions() as session:
+            return schema_mismatch(session)
+    except SQLAlchemyError:
+        return ""
+
+
 def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
     """Make `app`, which has these routers, answer every error with a problem document."""
 
@@ -184,13 +195,18 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
             503, "the artifact store does not answer; try again later", headers={"Retry-After": "5"}
         )
 
-    async def database(_request: Request, error: Exception) -> JSONResponse:
+    async def database(request: Request, error: Exception) -> JSONResponse:
         if isinstance(error, DBAPIError) and isinstance(error.orig, LockNotAvailable):
             _log.warning("a lock was not granted: %s", error)
             message = "another change of the same is still being stored; try again"
             return problem_response(429, message, headers={"Retry-After": "2"})
         if isinstance(error, DBAPIError) and not (error.connection_invalidated or isinstance(error, OperationalError)):
-            raise error
+            mismatch = await to_thread.run_sync(_schema_mismatch, request.app.state.service.reads)
+            if not mismatch:
+                raise error
+            _log.error("%s: %s", mismatch, error)
+            message = f"{mismatch}; try again, so that a service of its version answers"
+            return problem_response(503, message, headers={"Retry-After": "5"})
         _log.error("the database failed: %s", error)
         kind = type(error.orig) if isinstance(error, DBAPIError) else None
         message = _REFUSALS.get(kind, "the database does not answer; try again later")

@@ -10,7 +10,7 @@ from functools import partial
 
 from anyio import CapacityLimiter, to_thread
 from naojobs.capabilities import live_workers, waiting_reasons
-from naojobs.database import REVISION, Sessions, make_engine, make_sessions
+from naojobs.database import Sessions, make_engine, make_sessions, schema_mismatch
 from naojobs.errors import JobError
 from naojobs.league import League
 from naojobs.models import AnyWork, Evaluation, Job, Match, Worker
@@ -195,12 +195,11 @@ def _database_in_order(sessions: Sessions) -> set[str]:
             if session.scalar(text("SHOW transaction_read_only")) == "on":
                 return set()  # another server has taken over
             try:
-                found = session.scalar(text("SELECT version_num FROM alembic_version"))
+                return {"database"} if schema_mismatch(session) else {"database", "schema_revision"}
             except SQLAlchemyError:
                 return {"database"}
     except SQLAlchemyError:
         return set()
-    return {"database", "schema_revision"} if found == REVISION else {"database"}
 
 
 def _store_in_order(store: ArtifactStore) -> set[str]:
