@@ -70,7 +70,8 @@ def _progress(text: str, total: float | None = None) -> Iterator[Callable[..., N
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(transient=True, console=Console(stderr=True)) as progress:
+    console = Console(stderr=True)
+    with Progress(transient=True, console=console, disable=not console.is_terminal) as progress:
         yield partial(progress.update, progress.add_task(text, total=total))
 
 

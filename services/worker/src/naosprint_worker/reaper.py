@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import random
 from collections.abc import Callable, Iterable
@@ -53,7 +54,8 @@ class Reaper:
 
     def sweep(self) -> None:
         """Check everything once."""
-        touch_owner(self._context.folder)
+        with contextlib.suppress(OSError):  # on a full disk the rest still has to be done
+            touch_owner(self._context.folder)
         for pid in self._orphans.sweep():
             logger.warning("ended process %d, whose worker is gone", pid)
         self._remove_servers()
