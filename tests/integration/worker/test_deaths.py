@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -46,6 +47,11 @@ def assert_resumed_and_whole(service: Service, job_id: str, steps: int) -> None:
     resumed = [event for event in service.events(job_id) if event.kind == "resumed"]
     assert resumed
     assert all(event.data["step"] >= INTERVAL for event in resumed)
+    assert_whole(service, job_id, steps)
+
+
+def assert_whole(service: Service, job_id: str, steps: int) -> None:
+    """Check that the metrics of a job have no gaps or duplicates."""
     rows = service.metrics(job_id)
     assert [row.step for row in rows] == list(range(ROLLOUT, steps + 1, ROLLOUT))
     assert [row.attempt for row in rows] == sorted(row.attempt for row in rows)
@@ -178,8 +184,14 @@ def test_worker_and_trainer_killed_together(service: Service, worker: WorkerProc
     assert other.process.poll() is None
 
 
-def test_worker_killed_between_the_evaluation_and_the_end(service: Service, worker: WorkerProcess) -> None:
-    """It is frozen, so that training completes but the job is not settled; then it is killed."""
+@pytest.mark.parametrize("on_its_host", [True, False])
+def test_worker_killed_between_the_evaluation_and_the_end(
+    service: Service, worker: WorkerProcess, on_its_host: bool
+) -> None:
+    """It is frozen, so that training completes but the job is not settled; then it is killed.
+
+    The next worker finds on the same host that all is done, and elsewhere does what is left in another attempt.
+    """
     steps = ROLLOUT * 20
     job_id = service.submit(total_steps=steps)
     training = service.until_training(worker)
@@ -195,12 +207,15 @@ def test_worker_killed_between_the_evaluation_and_the_end(service: Service, work
     assert service.job(job_id).state is WorkState.EVALUATING
     worker.process.kill()
     worker.process.wait()
+    if not on_its_host:
+        shutil.rmtree(service.settings.worker_dir)
     service.start_worker()
-    assert service.until_state(job_id, WorkState.SUCCEEDED).attempt == 2
+    assert service.until_state(job_id, WorkState.SUCCEEDED).attempt == (1 if on_its_host else 2)
     (only,) = evaluations()
     assert (only.id, only.key, only.finished_at) == (first.id, first.key, first.finished_at)
     assert service.kinds(job_id).count("evaluation") == 1
-    assert_resumed_and_whole(service, job_id, steps)
+    assert ("resumed" in service.kinds(job_id)) is not on_its_host
+    assert_whole(service, job_id, steps)
 
 
 def test_a_step_of_the_clock_ends_no_training(service: Service) -> None:

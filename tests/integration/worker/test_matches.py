@@ -132,7 +132,7 @@ def test_a_match_that_finished_just_before_its_worker_died_has_succeeded(service
     outcome.write(workdir)
     with postgres.read_only(service.engine.url.database or ""):
         assert not attempt_is_over(service.sessions, workdir)
-    assert attempt_is_over(service.sessions, workdir)
+    service.until(lambda: attempt_is_over(service.sessions, workdir), what="for a connection that can write")
     with service.sessions() as session:
         assert session.get_one(Match, match_id).state is WorkState.SUCCEEDED
 
