@@ -169,8 +169,9 @@ def write_film(path: Path, pictures: Iterable[ByteArray], *, size: tuple[int, in
                 contextlib.suppress(BrokenPipeError),  # it has ended; its status says so
                 subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors) as ffmpeg,
             ):
+                assert ffmpeg.stdin is not None
                 for picture in pictures:
-                    ffmpeg.stdin.write(np.ascontiguousarray(picture))  # type: ignore[union-attr]
+                    ffmpeg.stdin.write(np.ascontiguousarray(picture).data)
             errors.seek(0)
             if ffmpeg.returncode != 0:
                 reason = errors.read().decode(errors="replace").strip().rpartition("] ")[2]
