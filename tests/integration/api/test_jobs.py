@@ -143,9 +143,10 @@ def test_a_key_makes_one_job(client: httpx.Client) -> None:
         ),
         (
             {"evaluation": {"task": {"name": "sprint1", "gravity_min": 0.5}}},
-            "evaluation.task",
-            "task.gravity_min: 0.5 needs other gravity",
+            "evaluation.task.gravity_min",
+            "0.5 needs other gravity",
         ),
+        ({"spec": {"robot": "nao-0"}, "evaluation": {"engine": "fast"}}, "evaluation.engine", "embedded with robot"),
         ({"spec": {"runtime": {"simulator_threads": 0}}}, "spec.runtime.simulator_threads", "greater than or equal"),
         ({"spec": {"stages": [{"steps": 0}]}}, "spec.stages.0.steps", "greater than or equal to 1"),
         ({"spec": {"stages": [{"steps": 9, "algorithm": {"gamma": 2}}]}}, "spec.stages.0.algorithm.gamma", "less than"),

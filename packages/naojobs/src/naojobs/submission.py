@@ -359,8 +359,12 @@ def check_evaluation(evaluation: EvaluationSpec | None, trained: TrainingSpec, f
     try:
         evaluation.applied_to(trained)
     except ValidationError as error:
+        first, *others = error.errors()
+        path = [str(part) for part in first["loc"]]
+        if not others and path and getattr(evaluation, path[0], None) is not None:
+            raise InvalidError(validation_words([{**first, "loc": ()}]), ".".join([field, *path])) from None
         part = next((f".{name}" for name in ("engine", "simulator", "task") if getattr(evaluation, name)), "")
-        raise InvalidError(validation_words(error.errors()), field + part) from None
+        raise InvalidError(validation_words([first, *others]), field + part) from None
 
 
 def with_parent(session: Session, request: JobRequest, owner: str, see_all: bool) -> JobRequest:
