@@ -31,10 +31,9 @@ def measured(checkout: Path, workdir: Path) -> dict[str, float]:
     try:
         command = [checkout / ".venv/bin/python", "benchmarks/learning/run.py", workdir, "--only", "throughput"]
         subprocess.run(list(map(str, command)), cwd=checkout, check=True, stdout=subprocess.DEVNULL)
-        # some versions write it among the committed results
-        places = [path for path in (record, checkout / "build" / record.relative_to(checkout)) if path.exists()]
-        latest = max(places, key=lambda path: path.stat().st_mtime_ns)
-        found: dict[str, float] = json.loads(latest.read_text())["throughput"]
+        # an earlier version writes it among the committed results
+        written = record if record.read_bytes() != before else checkout / "build" / record.relative_to(checkout)
+        found: dict[str, float] = json.loads(written.read_text(encoding="utf-8"))["throughput"]
     finally:
         record.write_bytes(before)
     return {name: found[name] for name in NAMES}

@@ -364,18 +364,17 @@ class EvaluationSpec(_Specification):
         try:
             return TrainingSpec.model_validate(content)
         except ValidationError as error:
-            raise _at(
-                (), error, {path: (name,) for name, path in _APPLIED if getattr(self, name) is not None}
-            ) from None
+            renamed = {path: name for path, name in _APPLIED.items() if getattr(self, name) is not None}
+            raise _at((), error, renamed) from None
 
 
 _ALWAYS_WRITTEN = {"name", "preset"}
-_APPLIED = (
-    ("simulator", ("simulator", "name")),
-    ("engine", ("simulator", "engine")),
-    ("start_noise_deg", ("task", "start_noise_deg")),
-)
-"""Settings of an evaluation that have another path in the training's specification."""
+_APPLIED: Mapping[tuple[str | int, ...], str] = {
+    ("simulator", "name"): "simulator",
+    ("simulator", "engine"): "engine",
+    ("task", "start_noise_deg"): "start_noise_deg",
+}
+"""Paths in a training's specification of settings that an evaluation has under names of its own."""
 
 Spec = TypeVar("Spec", bound=_Specification)
 
@@ -419,13 +418,13 @@ def _refuse_misplaced(
 def _at(
     place: tuple[str | int, ...],
     error: ValidationError,
-    others: Mapping[tuple[str | int, ...], tuple[str | int, ...]] = MappingProxyType({}),
+    renamed: Mapping[tuple[str | int, ...], str] = MappingProxyType({}),
 ) -> ValidationError:
-    """Return the same errors under the path ``place``; paths that ``others`` has are replaced first."""
+    """Return the same errors under the path ``place``; paths that ``renamed`` has are replaced first."""
     lines: list[InitErrorDetails] = [
         {
             "type": PydanticCustomError(item["type"], item["msg"].replace("{", "(").replace("}", ")")),
-            "loc": (*place, *others.get(item["loc"], item["loc"])),
+            "loc": (*place, *((renamed[item["loc"]],) if item["loc"] in renamed else item["loc"])),
             "input": item["input"],
         }
         for item in error.errors()

@@ -228,9 +228,8 @@ def _fitting(manifest: Manifest) -> list[str]:
     """Return the tasks with a policy's observations."""
     found = [manifest.stage_spec.task.name]
     for name in plugins.names(plugins.TASKS):
-        with contextlib.suppress(
-            OSError, ValueError, plugins.BrokenPluginError
-        ):  # tasks of other robots, and plug-ins that are broken
+        # tasks of other robots, and plug-ins that are broken, fit nothing
+        with contextlib.suppress(OSError, ValueError, plugins.BrokenPluginError):
             setting = EvaluationSpec(task=name, simulator="embedded").applied_to(manifest.stage_spec)
             with contextlib.closing(open_environment(setting, 1, threads=1)) as environment:
                 if environment.observer.names == manifest.observations:

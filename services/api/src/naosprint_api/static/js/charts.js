@@ -249,7 +249,7 @@ export class Chart {
     }
   }
 
-  /** Draw it in the colours of the theme, and all that it has: a page may be about to be printed whole. */
+  /** Draw it in the colours of the theme, also out of view: the page may be about to be printed. */
   #recolour() {
     if (this.late) {
       const seen = this.visible;

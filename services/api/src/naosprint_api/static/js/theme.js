@@ -24,12 +24,15 @@ function show(value) {
 }
 
 // Paper is white, and browsers leave out backgrounds: in the dark theme text would be light on it.
-let onScreen = "auto";
+let onScreen = null;
 addEventListener("beforeprint", () => {
-  onScreen = theme();
+  onScreen ??= theme(); // browsers may announce a print twice
   show("light");
 });
-addEventListener("afterprint", () => show(onScreen));
+addEventListener("afterprint", () => {
+  show(onScreen ?? theme());
+  onScreen = null;
+});
 
 /** Call `listener` whenever colours change; returns a function that removes it. */
 export function onTheme(listener) {
