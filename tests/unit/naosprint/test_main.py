@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from naospec import EvaluationSpec, TrainingSpec, plugins
 from naospec.flat import OPTIONS, settings
+from naosprint import commands
 from naosprint.__main__ import _parser, main
 from naosprint.console import ConsoleReporter
 from naosprint.rl.checkpoint import read_manifest
@@ -286,6 +287,25 @@ def test_an_interrupt_is_one_line_and_leaves_no_file(
     assert errors.strip() == f"stopped by {number.name}; no unfinished file is left"
     assert process.returncode == 128 + number
     assert not list(folder.iterdir())
+
+
+def test_an_interrupt_that_another_error_hides_is_one(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As an import of compiled code does; the program then ends by itself, not by a signal of Python's."""
+
+    def hide(_options: object) -> int:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt as error:
+            assert type(error) is not KeyboardInterrupt
+            raise ImportError("initialization failed") from error
+        return 0
+
+    hide.__name__ = "policies"
+    monkeypatch.setattr(commands, "policies", hide)
+    assert main(["policies"]) == 128 + signal.SIGTERM
+    assert capsys.readouterr().err == "stopped by SIGTERM; no unfinished file is left\n"
 
 
 def test_a_full_disk_leaves_all_files_or_those_before(checkpoint: Path, tmp_path: Path) -> None:

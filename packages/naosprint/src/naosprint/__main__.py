@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
         return status
     except KeyboardInterrupt as error:
-        number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
+        number = error.number if isinstance(error, _Interrupt) else signal.SIGINT
         sys.stderr.write(f"stopped by {number.name}; no unfinished file is left\n")
         return 128 + number
     except ValidationError as error:
@@ -240,13 +240,26 @@ def _seconds(text: str) -> float:
     return above_zero(text, MAX_FILM_S)
 
 
+class _Interrupt(KeyboardInterrupt):
+    """A signal that ends the command.
+
+    If compiled code runs Python code that raises KeyboardInterrupt itself, Python kills its own process at its end.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = signal.Signals(number)
+
+
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Raise KeyboardInterrupt at SIGTERM, too, so that what was begun is cleaned up; restore both handlers."""
+    """Raise ``_Interrupt`` at SIGINT and SIGTERM, so that what was begun is cleaned up; restore both handlers."""
+    received: list[int] = []
 
     def interrupt(number: int, frame: object) -> None:
         del frame
-        raise KeyboardInterrupt(number)
+        received.append(number)
+        raise _Interrupt(number)
 
     if threading.current_thread() is not threading.main_thread():
         yield  # which alone receives signals
@@ -254,6 +267,11 @@ def _interruptible() -> Iterator[None]:
     before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
+    except Exception:
+        # an import of compiled code, for example, reports the interrupt as an error of its own
+        if received:
+            raise _Interrupt(received[0]) from None
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
