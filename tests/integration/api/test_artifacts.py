@@ -315,8 +315,8 @@ def test_an_evaluation_that_cannot_run_is_refused(client: httpx.Client, lease: L
     body = {"spec": {"task": {"name": "sprint1", "push_mps": 0.5}}}
     answer = client.post(f"/jobs/{lease.job_id}/evaluations", json=body)
     (error,) = answer.json()["errors"]
-    assert (answer.status_code, error["field"]) == (422, "spec.task")
-    assert "task.push_mps: 0.5 needs pushes" in error["message"]
+    assert (answer.status_code, error["field"]) == (422, "spec.task.push_mps")
+    assert "0.5 needs pushes" in error["message"]
 
 
 def test_deleting_a_job_deletes_its_files(

@@ -138,16 +138,18 @@ def test_a_robot_that_is_no_agents_ends_the_game(
 
 
 @pytest.mark.parametrize(
-    ("ending", "reason", "half_s"),
+    ("ending", "reason", "half_s", "look_s"),
     [
-        ("raise RuntimeError('the knee is broken')", "the knee is broken", 4.0),
-        ("signal.pause()", "dropped by the server after 5 s without a message", 2.0),
+        ("raise RuntimeError('the knee is broken')", "the knee is broken", 4.0, game._LOOK_S),
+        # the half is over before the next look at the players
+        ("signal.pause()", "dropped by the server after 5 s without a message", 2.0, 1e9),
     ],
     ids=["crash", "hang"],
 )
 def test_an_agent_that_fails_loses_its_player_and_not_the_match(
-    ending: str, reason: str, half_s: float, tmp_path: Path
+    ending: str, reason: str, half_s: float, look_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(game, "_LOOK_S", look_s)
     team = read_team(write_team(tmp_path / "failing", FAILING, ending))
     settings = GameSettings(players=2, half_s=half_s)
     (log,) = play_match((team, team), ("a", "a"), 1, settings, tmp_path / "logs")

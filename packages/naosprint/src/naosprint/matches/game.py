@@ -24,7 +24,7 @@ from naosprint.matches.relay import REFUSAL
 from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     from naosim.launchers import Launcher, ServerHandle
 
@@ -201,6 +201,8 @@ class _Half:
         """Players whose agents have come through their endpoints."""
         self._latest_s, self._still = 0.0, 0
         """Time of the last frame, and the number of frames before it of the same time."""
+        self._on_field: Collection[Player] = ()
+        """Players on the field in the last frame of play."""
         self._lost: list[dict[str, Any]] = []
         self._cpu_cycles, self._cpu_at = 0, 0.0
 
@@ -263,6 +265,8 @@ class _Half:
                 f"the server's simulation started again: its time is {frame.time_s:g} s after {self._latest_s:g} s"
             )
         self._latest_s = frame.time_s
+        if frame.mode != _GAME_OVER:
+            self._on_field = frame.bodies
         if frame.bodies.keys() - self._entered:
             self._entered = endpoints.entered()
         for side, number in sorted(frame.bodies.keys() - self._entered):
@@ -322,7 +326,8 @@ class _Half:
         noted = {(each["side"], each["number"]) for each in self._lost}
         for player, agent in self._agents.items():
             alive, refusal = agent.alive(), self._refusal(player).removeprefix("; ")
-            if player in noted or (frame.mode == _GAME_OVER and not refusal):  # agents may end with the half
+            stayed = frame.mode == _GAME_OVER and player in self._on_field  # agents may end with the half
+            if player in noted or (stayed and not refusal):
                 continue
             if refusal or player not in frame.bodies or not alive:
                 side, number = player
