@@ -218,6 +218,31 @@ def test_the_vector_environment_is_as_many_single_ones() -> None:
     single.close()
 
 
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        (SPRINT, {"robot": "nao-1", "sensor_noise": 1.0}),
+        ("naosprint/Velocity-v1", {"robot": "t1", "command_steps": 2, "push_mps": 1.0, "push_steps": 5}),
+    ],
+)
+def test_a_robot_that_waits_for_its_next_episode_draws_nothing(name: str, settings: dict[str, Any]) -> None:
+    """Noise, pushes and commands of the episodes after the first are those of a robot alone, which never waits."""
+    together = gymnasium.make_vec(name, num_envs=2, **settings)
+    single = gymnasium.make_vec(name, num_envs=2, vectorization_mode="sync", **settings)
+    together.reset(seed=3)
+    single.reset(seed=3)
+    together.action_space.seed(0)
+    ended = 0
+    while ended < 6:
+        actions = together.action_space.sample()
+        mine, known = together.step(actions), single.step(actions)
+        for a, b in zip(mine[:4], known[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+        ended += int((mine[2] | mine[3]).sum())
+    together.close()
+    single.close()
+
+
 def test_stable_baselines3s_own_ppo_trains_on_it() -> None:
     model = PPO("MlpPolicy", gymnasium.make(SPRINT, task="sprint2"), n_steps=512, batch_size=64, device="cpu", seed=0)
     before = [parameter.detach().clone() for parameter in model.policy.parameters()]

@@ -50,6 +50,7 @@ class Disturbances:
 
     Attributes:
         arrays: what the next step depends on; part of checkpoints.
+        count: (n,) steps that each robot has been disturbed in, which number its draws.
 
     Raises:
         ValueError: if the simulator cannot do it; the message names the setting.
@@ -70,7 +71,7 @@ class Disturbances:
         self._seed = seed
         self._streams = np.arange(simulator.n) if streams is None else streams
         n, joints = simulator.n, len(simulator.robot.joints)
-        self._count: IntArray = np.zeros(n, dtype=np.int64)
+        self.count: IntArray = np.zeros(n, dtype=np.int64)
         self._least, self._most = settings.extra_delay, settings.extra_delay_max or settings.extra_delay
         some = settings.undisturbed_fraction > 0.0 or settings.disturbance_probability < 1.0
         self._drawn = self._most > self._least or (self._most > 0 and some)
@@ -96,7 +97,7 @@ class Disturbances:
         )  # episode and strength of the world
         self._counts = bool(settings.push_mps or self._noise or self._ball_noise_m)
         kept: tuple[tuple[str, AnyArray, bool], ...] = (
-            ("count", self._count, self._counts),
+            ("count", self.count, self._counts),
             ("waiting", self._waiting, self._most > 0),
             ("delay", self._delay, self._drawn),
             ("acts", self._acts, self._drawn),
@@ -134,7 +135,7 @@ class Disturbances:
 
     def draw_by_episode(self, rows: IntArray) -> None:
         """Give robots the random numbers of the episodes in their streams, as the first after the beginning."""
-        self._count[rows] = 0
+        self.count[rows] = 0
         self._episode[rows] = 0
         self._strength[rows] = 0.0 if self._grows else 1.0
         self._drawn_at[rows] = np.stack([self._episode[rows], self._strength[rows]], axis=1)
@@ -263,8 +264,8 @@ class Disturbances:
         settings = self._settings
         if not self._counts:
             return
-        self._count[rows] += 1
-        streams, counts, noisy = self._streams[rows], self._count[rows], self._kinds["noise"][rows]
+        self.count[rows] += 1
+        streams, counts, noisy = self._streams[rows], self.count[rows], self._kinds["noise"][rows]
         if settings.push_mps:
             chance, turn, part = uniform(self._seed + _STREAM, streams, counts, 3).T
             pushed = self._kinds["pushes"][rows] & (chance < 1.0 / settings.push_steps)

@@ -299,14 +299,20 @@ class Environment:
 
         Args:
             actions: (n, A) actions, 32 or 64 bits, clipped to [-1, 1].
-            active: (n,) robots to step; None for all. The attributes of the others are meaningless.
+            active: (n,) robots to step; None for all. The others keep what their next episode depends on; their
+                attributes are meaningless.
 
         Returns:
             (n, D) observations after the step, the last of an episode included; overwritten by the next call.
         """
         everyone = slice(0, self.n)
+        idle = np.zeros(0, np.int64) if active is None else np.flatnonzero(~active)
+        lasting = (*self._arrays.values(), self.disturbances.count, self.failed) if len(idle) else ()
+        remembered = [array[idle] for array in lasting]
         self.step_async(actions, everyone, active)
         self.step_wait(everyone)
+        for array, values in zip(lasting, remembered, strict=True):
+            array[idle] = values
         return self.observer.observations
 
     def step_async(self, actions: FloatArray | Float32Array, rows: slice, active: BoolArray | None = None) -> None:
