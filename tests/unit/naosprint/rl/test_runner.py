@@ -26,6 +26,7 @@ from naosprint.rl.checkpoint import (
 )
 from naosprint.rl.columns import ENGINES, columns
 from naosprint.rl.policy import load_policy
+from naosprint.rl.settings import PPOSettings
 from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.sprint import Sprint1
 from naosprint.terms import Store, source
@@ -196,6 +197,16 @@ def test_initial_policy_gives_weights_and_statistics(
             assert np.array_equal(ours[name], theirs[name]), name
     assert ours["observation_count"][0] == theirs["observation_count"][0] + spec.algorithm.n_envs
     assert read_manifest(started).steps == 0
+
+
+@pytest.mark.parametrize(("final", "spread"), [(None, -1.6), (-3.0, -0.5)])
+def test_initial_log_std_applies_to_a_start_from_a_policy_as_described(
+    make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any, final: float | None, spread: float
+) -> None:
+    spec = make_spec(initial_log_std=-0.5, final_log_std=final, total_steps=256)
+    train(spec, workdir=tmp_path, reporter=recorder, initial_policy=checkpoint)
+    assert math.log(recorder.rows[0]["action_std"]) == pytest.approx(spread, abs=0.05)
+    assert "unless final_log_std is set" in (PPOSettings.model_fields["initial_log_std"].description or "")
 
 
 def test_initial_policy_of_another_shape_is_refused(

@@ -138,7 +138,8 @@ class PPOSettings(LearnerSettings):
         ge=-10.0,
         le=2.0,
         title="Initial log-std",
-        description="Logarithm of the initial standard deviation of the actions.",
+        description="Logarithm of the initial standard deviation of the actions. A training that starts from a policy, "
+        "such as a later stage, keeps that of the policy unless final_log_std is set.",
     )
     final_log_std: float | None = Field(
         default=_fast("final_log_std"),
