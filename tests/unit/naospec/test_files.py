@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
@@ -54,6 +55,73 @@ def test_files_are_written_together_or_not_at_all(tmp_path: Path) -> None:
         write_whole(second, "two")
     assert [path.read_text(encoding="utf-8") for path in (first, second)] == ["one", "two"]
     assert sorted(tmp_path.iterdir()) == [first, second]
+
+
+def test_an_error_at_the_last_moment_leaves_all_files_as_they_were(tmp_path: Path) -> None:
+    """One of the names has become that of a folder meanwhile."""
+    first, folder = tmp_path / "a", tmp_path / "b"
+    write_whole(first, "before")
+    with pytest.raises(IsADirectoryError, match=r"Is a directory: .*/b"), together():
+        for path in (first, tmp_path / "new", folder):
+            write_whole(path, "after")
+        folder.mkdir()
+    assert first.read_text(encoding="utf-8") == "before"
+    assert sorted(tmp_path.iterdir()) == [first, folder]
+
+
+WRITES = """
+import os, signal, sys
+from pathlib import Path
+from naospec.files import together, write_whole
+folder, content, action, left = Path(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4])
+def look(event, arguments):
+    global left
+    if event == "os.rename":
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGKILL) if action == "kill" else (print(flush=True), sys.stdin.readline())
+        left -= 1
+sys.addaudithook(look)
+with together():
+    for name in ("a", "b", "c"):
+        write_whole(folder / name, content)
+"""
+"""Writes three files, and is killed or waits before one of its renames."""
+
+
+def contents(folder: Path) -> set[str]:
+    """Return the different contents of the files that have names of their own."""
+    return {path.read_text(encoding="utf-8") for path in folder.iterdir() if not path.name.startswith(".")}
+
+
+def test_no_kill_leaves_files_of_two_calls_side_by_side(tmp_path: Path) -> None:
+    killed = 0
+    while True:
+        with together():
+            for name in ("a", "b", "c"):
+                write_whole(tmp_path / name, "before")
+        ended = subprocess.run([sys.executable, "-c", WRITES, str(tmp_path), "after", "kill", str(killed)], check=False)
+        assert len(contents(tmp_path)) <= 1, f"killed before rename {killed + 1}"
+        if ended.returncode == 0:
+            break
+        killed += 1
+    assert killed >= 3
+    assert contents(tmp_path) == {"after"}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]
+
+
+def test_two_that_write_the_same_files_at_once_leave_those_of_one(tmp_path: Path) -> None:
+    """The first is between two of its renames when the second writes."""
+    command = [sys.executable, "-c", WRITES, str(tmp_path)]
+    second = [*command, "second", "kill", "99"]
+    with subprocess.Popen([*command, "first", "wait", "1"], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as first:
+        assert first.stdin is not None and first.stdout is not None
+        first.stdout.readline()
+        with subprocess.Popen(second) as other:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                other.wait(1.0)  # it waits for the first, or would not and end
+            first.communicate(b"\n", timeout=60)
+        assert (first.returncode, other.returncode) == (0, 0)
+    assert contents(tmp_path) == {"second"}
 
 
 def test_what_a_process_that_ended_left_is_deleted(tmp_path: Path) -> None:

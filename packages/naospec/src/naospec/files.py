@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import errno
+import fcntl
 import functools
 import hashlib
 import json
@@ -165,7 +166,9 @@ def replacing(path: Path, *, mode: int = 0o666) -> Iterator[BufferedWriter]:
 def together() -> Iterator[None]:
     """Write several files: what this thread replaces within appears at the end, or after an error nothing of it.
 
-    Until then none of them can be read.
+    Until then none of them can be read. Files of different calls never lie side by side, also if a process is killed or
+    two write at once: those from before are gone when the first appears. One that is killed just then leaves some of
+    one kind.
     """
     if _written.get() is not None:
         yield
@@ -173,15 +176,64 @@ def together() -> Iterator[None]:
     written: list[tuple[Path, Path]] = []
     token = _written.set(written)
     try:
-        yield
+        try:
+            yield
+        finally:
+            _written.reset(token)
+        if len({path for _, path in written}) > 1:
+            _publish_all(written)
+        else:
+            for partial, path in written:
+                publish(partial, path)
     except BaseException:
         for partial, _ in written:
             partial.unlink(missing_ok=True)
         raise
+
+
+def _publish_all(written: list[tuple[Path, Path]]) -> None:
+    """Move the files from before aside, then give the unfinished ones their names; undo all of it after an error."""
+    folders = sorted({path.parent for _, path in written})
+    before: list[tuple[Path, Path]] = []
+    after: list[Path] = []
+    with contextlib.ExitStack() as locks:
+        for folder in folders:
+            locks.enter_context(_alone(folder))
+        try:
+            for _, path in written:
+                if path.is_dir() and not path.is_symlink():
+                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+                aside = partial_of(path)
+                with contextlib.suppress(FileNotFoundError):
+                    path.rename(aside)
+                    before.append((aside, path))
+            for folder in folders:
+                sync(folder)
+            for partial, path in written:
+                partial.replace(path)
+                after.append(path)
+            for folder in folders:
+                sync(folder)
+        except BaseException:
+            for path in after:
+                path.unlink(missing_ok=True)
+            for aside, path in before:
+                aside.replace(path)
+            raise
+    for aside, _ in before:
+        aside.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Wait until no other process publishes several files in a folder; on a disk without locks, do not wait."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
     finally:
-        _written.reset(token)
-    for partial, path in written:
-        publish(partial, path)
+        os.close(descriptor)
 
 
 def publish(partial: Path, path: Path) -> Path:
