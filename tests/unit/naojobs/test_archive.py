@@ -99,3 +99,28 @@ def test_what_goes_away_meanwhile_is_left_out(
     other.get_directory(KEYS[2], tmp_path / "out")
     with pytest.raises(MissingArtifactError):
         other.manifest(KEYS[1])
+
+
+def test_a_file_that_is_missing_for_a_moment_is_in_the_archive(
+    store: ArtifactStore, other: ArtifactStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a proxy before a store that does not answer says; one that stays so is an error, not a smaller archive."""
+    read, answers = store.get_bytes, [404, 404, 200]
+    pauses: list[float] = []
+
+    def find_later(key: str) -> bytes:
+        if key == f"{KEYS[1]}/sub/z.json" and answers.pop(0) == 404:
+            raise MissingArtifactError("no such file")
+        return read(key)
+
+    monkeypatch.setattr(store, "get_bytes", find_later)
+    target = io.BytesIO()
+    assert export_artifacts(store, target, sleep=pauses.append) == 9
+    target.seek(0)
+    assert import_artifacts(other, target) == 9
+    assert len(pauses) == 2
+
+    answers.extend([404] * 99)
+    with pytest.raises(MissingArtifactError):
+        export_artifacts(store, io.BytesIO(), sleep=pauses.append)
+    assert sum(pauses) > 120

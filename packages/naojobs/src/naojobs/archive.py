@@ -5,12 +5,17 @@ from __future__ import annotations
 import hashlib
 import io
 import tarfile
+import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from tarfile import EmptyHeaderError, InvalidHeaderError, ReadError, TruncatedHeaderError  # type: ignore[attr-defined]
 from typing import BinaryIO, Self
 
 from naojobs.errors import JobError
 from naojobs.store import ARTIFACTS, MANIFEST_NAME, ArtifactStore, MissingArtifactError, StoreManifest, artifact_of
+
+_PAUSES_S = tuple(min(0.1 * 2**number, 15.0) for number in range(15))
+"""Pauses, of two minutes in all, between the tries to read a file that the store lists and does not find."""
 
 
 class DamagedArchiveError(JobError):
@@ -29,7 +34,7 @@ class WholeTarInfo(tarfile.TarInfo):
             raise ReadError(f"cut off or damaged ({error})") from None
 
 
-def export_artifacts(store: ArtifactStore, target: BinaryIO) -> int:
+def export_artifacts(store: ArtifactStore, target: BinaryIO, *, sleep: Callable[[float], None] = time.sleep) -> int:
     """Write everything in the store to `target`; return how many files that was. Raises StoreError.
 
     Artifacts may be added and deleted meanwhile. One whose files are deleted is written without a manifest, and so does
@@ -42,9 +47,8 @@ def export_artifacts(store: ArtifactStore, target: BinaryIO) -> int:
         for key in keys:
             if _is_manifest(key) and artifact_of(key) == gone:
                 continue
-            try:
-                data = store.get_bytes(key)
-            except MissingArtifactError:
+            data = _content(store, key, sleep)
+            if data is None:
                 gone = artifact_of(key)
                 continue
             entry = tarfile.TarInfo(key)
@@ -52,6 +56,25 @@ def export_artifacts(store: ArtifactStore, target: BinaryIO) -> int:
             archive.addfile(entry, io.BytesIO(data))
             count += 1
     return count
+
+
+def _content(store: ArtifactStore, key: str, sleep: Callable[[float], None]) -> bytes | None:
+    """Return the content of a file, or nothing if it was deleted.
+
+    Only a listing says so: a proxy may answer that there is no such file while the store behind it does not answer.
+
+    Raises:
+        MissingArtifactError: it is still listed, and was not found in two minutes.
+        StoreError: the store refused.
+    """
+    for pause_s in _PAUSES_S:
+        with suppress(MissingArtifactError):
+            return store.get_bytes(key)
+        with suppress(MissingArtifactError):
+            if key not in store.list(artifact_of(key)):
+                return None
+        sleep(pause_s)
+    return store.get_bytes(key)
 
 
 def verify_artifacts(source: BinaryIO) -> int:
