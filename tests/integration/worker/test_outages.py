@@ -21,11 +21,12 @@ from naojobs import backups, requests
 from naojobs.models import Evaluation, Job, Log, ServiceKey, generation
 from naojobs.roles import create_roles
 from naojobs.states import ENDED, WorkState
-from naojobs.store import StoreManifest, evaluation_key, new_nonce
+from naojobs.store import MissingArtifactError, StoreError, StoreManifest, evaluation_key, new_nonce
 from naospec import EvaluationSpec
 from naosprint_worker import progress, spool
-from naosprint_worker.child_process import Services, StopRequest
+from naosprint_worker.child_process import Services, StopRequest, classify
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, TrainerExitCode
 from sqlalchemy import select, text
 
 from tests.integration.conftest import S3Server
@@ -261,6 +262,30 @@ def test_store_that_damages_everything_for_longer_fails_no_job(
     assert "what was read is not what was written" in waits.data["reason"]
     job = service.job(job_id)
     assert (job.state, job.failures) == (WorkState.QUEUED, 0)
+
+
+@pytest.mark.parametrize("answer", ["page", "missing"])
+def test_what_a_store_in_trouble_does_not_return_is_not_lost(
+    proxied_service: Service, store_proxy: StoreProxy, answer: str
+) -> None:
+    """The work is put off, whatever its kind; a store that returns new files has lost the artifact."""
+    service, workdir = proxied_service, proxied_service.folder / "attempt"
+    result = workdir / "evaluation"
+    result.mkdir(parents=True)
+    (result / "evaluation.json").write_text("{}", encoding="utf-8")
+    key = evaluation_key("job_x", "eval_x", 1, new_nonce())
+    manifest = service.store.put_directory(key, result)
+    settings = service.settings.model_copy(update={"worker_patience_s": 0.2})
+    services = Services(settings, service.sessions, service.store, workdir, StopRequest(), progress.Progress(workdir))
+    store_proxy.wrong = [answer] * 10**6
+    with pytest.raises(StoreError) as trouble:
+        services.fetch(key, workdir / "fetched", manifest)
+    assert classify(trouble.value, workdir).kind == SERVICE_UNAVAILABLE
+    store_proxy.wrong = []
+    service.store.delete_file(f"{key}/evaluation.json")
+    with pytest.raises(MissingArtifactError) as lost:
+        services.fetch(key, workdir / "fetched", manifest)
+    assert classify(lost.value, workdir).code is TrainerExitCode.PERMANENT
 
 
 @pytest.mark.parametrize("waits_for", ["put", "fetch", "database"])

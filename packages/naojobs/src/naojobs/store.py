@@ -395,8 +395,11 @@ class ArtifactStore:
         key = f"{PROBES}/{secrets.token_hex(16)}"
         content = secrets.token_bytes(16)
         self.put_bytes(key, content)
-        read = self.get_bytes(key)
-        self.delete_file(key)
+        try:
+            read = self.get_bytes(key)
+            self.delete_file(key)
+        except MissingArtifactError as error:
+            raise StoreError(f"{PROBES}: what was written is missing: {error}") from None
         if read != content:
             raise StoreError(f"{PROBES}: what was read is not what was written")
 

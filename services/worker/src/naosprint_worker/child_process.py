@@ -133,13 +133,13 @@ class Services:
             on_retry: called with each error and the seconds until the next try.
 
         Raises:
-            MissingArtifactError: a file was still gone at the end.
-            CorruptArtifactError: a file did still not match the manifest.
+            MissingArtifactError: a file was still gone at the end, from a store that returns a new one.
+            CorruptArtifactError: a file did still not match the manifest, likewise.
             PatienceExhaustedError: the store failed for too long.
+            StoreError: the store does not return a new file.
         """
-        unusable: BaseException | None = None
-        try:
-            with self.progress.waiting():
+        with self.progress.waiting():
+            try:
                 retry(
                     lambda: self.store.get_directory(key, folder, manifest),
                     what=f"fetching {key}",
@@ -147,12 +147,14 @@ class Services:
                     patience_s=self.settings.worker_patience_s if patience_s is None else patience_s,
                     on_retry=on_retry,
                 )
-        except PatienceExhaustedError as error:
-            if not isinstance(error.__cause__, CorruptArtifactError | MissingArtifactError):
-                raise
-            unusable = error.__cause__
-        if unusable is not None:
-            raise unusable  # outside: an error that is the cause of its own cause has no end
+            except PatienceExhaustedError as error:
+                if not isinstance(error.__cause__, CorruptArtifactError | MissingArtifactError):
+                    raise
+            else:
+                return
+            # A store that does not return a new file either says nothing of this one.
+            self.store.check()
+            self.store.get_directory(key, folder, manifest)
 
     def put(
         self, key: str, folder: Path, *, what: str, on_retry: Callable[[Exception, float], None] | None = None

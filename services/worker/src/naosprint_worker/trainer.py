@@ -220,7 +220,7 @@ class Attempt:
 
         Raises:
             CheckpointsUnusableError: all are damaged or gone. Starting again would lose the training so far.
-            StoreError: all are, and the store does not return a new file either.
+            StoreError: the store does not return a new file either.
         """
         listed = self._services.database(
             lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
@@ -246,7 +246,6 @@ class Attempt:
                 self._note_unusable(reference.id, error)
                 last = last or error
         if last is not None:
-            self._services.store.check()
             raise CheckpointsUnusableError(
                 f"none of its {len(listed)} checkpoints can be used; restore their files and retry the job, or submit "
                 f"a new one; the newest: {last}"
