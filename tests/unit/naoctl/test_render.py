@@ -167,6 +167,18 @@ def test_ids_stay_in_one_piece_beside_long_columns() -> None:
     assert "vm:7802:8976ab12cd34" in text and "…" not in text
 
 
+def test_a_long_name_leaves_its_value_room() -> None:
+    """As that of a long alias before what it requires."""
+    table = render.pairs(
+        [("Started from", "random weights"), (f"{'a' * 60} requires", "b" * 40), ("Notes", "c " * 200)]
+    )
+    lines = shown(table, width=80).splitlines()
+    assert lines[0].split("  ")[0] == "Started from"
+    assert any("b" * 36 in line for line in lines)
+    table = render.pairs([("Started from", "random weights"), ("Notes", "c" * 500)])
+    assert shown(table, width=40).splitlines()[0].startswith("Started from  random weights")
+
+
 def test_a_list_of_several_tasks_shows_the_results_of_each(job: Callable[..., dict[str, Any]]) -> None:
     getup = job(spec={**job()["spec"], "task": {"name": "getup"}}, latest_metrics={"success_rate": 0.5})
     text = shown(render.jobs_table([job(), getup], Descriptions(), 100), width=100)

@@ -322,7 +322,7 @@ def listing(*headings: str) -> Table:
 def pairs(rows: Iterable[tuple[str, RenderableType]]) -> Table:
     """Return a table of names and values without lines."""
     table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bright_black", no_wrap=True)
+    table.add_column(style="bright_black", overflow="fold")
     table.add_column(overflow="fold")
     for name, value in rows:
         table.add_row(name, value)
