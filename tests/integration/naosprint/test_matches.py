@@ -13,7 +13,7 @@ from naosim.launchers import Address
 from naosprint.__main__ import main
 from naosprint.matches import game
 from naosprint.matches.endpoints import AgentEndpoints
-from naosprint.matches.game import GameSettings, TeamFailedError, play_game
+from naosprint.matches.game import GameSettings, Moment, ServerFailedError, TeamFailedError, play_game
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import play_match
 from naosprint.matches.results import match_results
@@ -135,6 +135,37 @@ def test_a_robot_that_is_no_agents_ends_the_game(
     finally:
         codes = [program.wait(30) for program in began]
     assert codes == [0]
+
+
+@pytest.mark.parametrize("during", ["entry", "play"])
+def test_a_relay_that_is_killed_ends_the_game_and_blames_no_team(
+    during: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Opened] = []
+
+    class Opened(AgentEndpoints):
+        def __init__(self, server: Address, players: Mapping[Player, bool]) -> None:
+            super().__init__(server, players)
+            opened.append(self)
+
+        def kill(self) -> None:
+            self._process.process.kill()
+            self._process.process.wait(30)
+
+        def address(self, player: Player) -> Address:
+            if during == "entry":
+                self.kill()
+            return super().address(player)
+
+    def kill(moment: Moment) -> None:
+        if moment.mode != "BeforeKickOff":
+            opened[0].kill()
+
+    monkeypatch.setattr(game, "AgentEndpoints", Opened)
+    standing = entering(tmp_path / "standing")
+    settings = GameSettings(players=1, half_s=8.0)
+    with pytest.raises(ServerFailedError, match="the relay of the agents ended: exit code -9"):
+        play_game((standing, standing), ("a", "b"), 0, settings, on_moment=kill)
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,11 @@ class AgentEndpoints:
             return ""
         return f"; it began with {self._refused[player]}, not with (init MODEL {player[0]} {player[1]})"
 
+    def failure(self) -> str:
+        """Return how their process failed; empty if it runs, or ended after all of its connections had."""
+        failed = self._process.process.poll() not in (None, 0)
+        return f"the relay of the agents ended: {self._process.describe()}" if failed else ""
+
     def _read(self) -> None:
         while data := self._output.read(1 << 16):
             *lines, self._rest = (self._rest + data).split(b"\n")

@@ -50,7 +50,7 @@ class MatchError(RuntimeError):
 
 
 class ServerFailedError(MatchError):
-    """A server that did not start, or ended during a game."""
+    """A server that did not start, or that ended during a game, or the relay between it and the agents."""
 
 
 class TeamFailedError(MatchError):
@@ -134,7 +134,7 @@ def play_game(
         on_moment: called about once a second; what it raises ends the game.
 
     Raises:
-        ServerFailedError: a server did not start or ended.
+        ServerFailedError: a server did not start, or it or the agents' relay ended.
         TeamFailedError: a team that is not known did not enter the field, or neither team did, or a player entered it
             past the endpoints of the agents.
     """
@@ -255,7 +255,8 @@ class _Half:
         """Return the next frame.
 
         Raises:
-            ServerFailedError: the server's time goes back or stands still, since its simulation has started again.
+            ServerFailedError: the server's time goes back or stands still, since its simulation has started again, or
+                the relay has ended, without which no agent can play.
             TeamFailedError: a player on the field has not come through its endpoint.
         """
         frame = monitor.next(time.monotonic() + wait_s)
@@ -265,6 +266,8 @@ class _Half:
                 f"the server's simulation started again: its time is {frame.time_s:g} s after {self._latest_s:g} s"
             )
         self._latest_s = frame.time_s
+        if failure := endpoints.failure():
+            raise ServerFailedError(failure)
         if frame.mode != _GAME_OVER:
             self._on_field = frame.bodies
         if frame.bodies.keys() - self._entered:
