@@ -450,3 +450,46 @@ def test_empty_charts_of_a_training_with_metrics_do_not_say_that_it_had_none(
     browser.open(f"/jobs/{job}")
     browser.shows("The training has no such values.")
     assert "before its first update" not in browser.text("main")
+
+
+def hold(browser: Browser, pattern: str, what: str = "answer") -> None:
+    """Hold GET requests whose address fits a pattern, or their answers, until the page calls `release`."""
+    browser.js(
+        """
+        const [pattern, what] = [new RegExp(arguments[0]), arguments[1]];
+        const real = fetch;
+        const held = new Promise((resolve) => { window.release = resolve; });
+        window.others = [];
+        window.fetch = async (url, options) => {
+          if (options.method !== "GET" || !pattern.test(String(url))) {
+            others.push(real(url, options));
+            return others.at(-1);
+          }
+          window.asked = true;
+          if (what === "request") await held;
+          const answer = await real(url, options);
+          window.answered = true;
+          await held;
+          return answer;
+        };
+        """,
+        pattern,
+        what,
+    )
+
+
+def test_a_comparison_shows_no_answer_older_than_the_stream(
+    browser: Browser, token: str, client: httpx.Client, job: str
+) -> None:
+    browser.sign_in(token)
+    browser.open(f"/compare?jobs={job}")
+    browser.shows("Live", ".top")
+    browser.js("dispatchEvent(new Event('pagehide'))")
+    hold(browser, f"/jobs/{job}$")
+    browser.js("dispatchEvent(new Event('pageshow'))")
+    browser.until(lambda: browser.js("return window.answered"))
+    client.post(f"/jobs/{job}/cancel").raise_for_status()
+    browser.find("tr[data-job] [data-state=cancelled]")
+    browser.module("release(); await new Promise((done) => setTimeout(done));")
+    browser.theme("dark")  # the table is drawn again
+    assert browser.find("tr[data-job] [data-state]").get_attribute("data-state") == "cancelled"

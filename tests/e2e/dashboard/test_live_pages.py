@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -419,3 +420,24 @@ def test_a_comparison_draws_rewards_of_each_task_and_every_metric(
     browser.open(f"/compare?by=robot&jobs={jobs[1]},{jobs[2]}")
     browser.until(lambda: browser.all("[data-chart=reward]"))
     assert "Reward" in [e.text for e in browser.all(".chart h3")], "one task needs no name in the titles"
+
+
+def test_a_comparison_is_drawn_while_changes_arrive_without_a_pause(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client
+) -> None:
+    body = {"name": "busy", "spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+    job = client.post("/jobs", json=body).json()["id"]
+    browser.sign_in(token)
+    browser.open(f"/compare?jobs={job}")
+    browser.shows("Live", ".top")
+    steps = itertools.count(1000, 1000)
+
+    def drawn() -> bool:
+        with stack.sessions.begin() as session:
+            row = session.get_one(Job, job)
+            row.progress_step = next(steps)
+            row.updated_at = func.now()
+            notify(session, job)
+        return browser.find("tr[data-job] .num").text != "0"
+
+    browser.until(drawn, 20, "no change is drawn while more arrive")

@@ -9,7 +9,7 @@ import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { headline, meanProfile, profile, representative } from "../evaluation.js";
 import { Figure, resultLines } from "../figures.js";
 import { compact, csv, integer, metricText, shownUnit, withUnit } from "../format.js";
-import { latest, progress, summary } from "../jobs.js";
+import { latest, newer, progress, summary } from "../jobs.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
 import { follow } from "../stream.js";
 import { color, onTheme } from "../theme.js";
@@ -780,7 +780,7 @@ class CompareView {
 
   onJob(job) {
     const item = this.items.find((i) => i.job.id === job.id);
-    if (!item) return;
+    if (!item || newer(item.job, job) !== job) return;
     const ended = item.job.state !== job.state && isEnded(job.state);
     item.job = job;
     if (ended)
@@ -797,8 +797,8 @@ class CompareView {
       );
     const row = latest(job);
     if (row.step !== undefined && row.step !== item.metrics.step.at(-1)) item.metrics.push(row);
-    clearTimeout(this.refresh);
-    this.refresh = setTimeout(() => {
+    this.refresh ??= setTimeout(() => {
+      this.refresh = null;
       const keys = (charts) => charts.map(({ key, items }) => `${key} ${items.length}`).join();
       if (keys(this.wanted()) !== keys(this.charts.map(({ curve }) => curve))) return this.rebuildCharts();
       this.paintTable();
