@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from naojobs.database import notify
-from naojobs.models import Job, MetricsRecord, Token, generation
+from naojobs.models import Job, Log, MetricsRecord, Token, generation
 from naospec import recipes
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
@@ -493,3 +493,20 @@ def test_a_comparison_shows_no_answer_older_than_the_stream(
     browser.module("release(); await new Promise((done) => setTimeout(done));")
     browser.theme("dark")  # the table is drawn again
     assert browser.find("tr[data-job] [data-state]").get_attribute("data-state") == "cancelled"
+
+
+def test_a_job_that_ends_while_its_page_loads_is_shown_whole(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, job: str
+) -> None:
+    browser.sign_in(token)
+    browser.find(f"tr[data-job='{job}']")
+    hold(browser, f"/jobs/{job}$", "request")
+    browser.js("location.hash = arguments[0]", f"#/jobs/{job}/log")
+    browser.until(lambda: browser.js("return window.asked"))
+    browser.module("await Promise.all(window.others)")
+    with stack.sessions.begin() as session:
+        session.add(Log(job_id=job, attempt=1, level="info", message="the last line"))
+    client.post(f"/jobs/{job}/cancel").raise_for_status()
+    browser.js("release()")
+    browser.find(".page-head [data-state=cancelled]")
+    browser.shows("the last line", ".log", 20)

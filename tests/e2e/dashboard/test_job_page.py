@@ -251,3 +251,44 @@ def test_a_job_with_a_start_time_waits_for_no_worker(browser: Browser, token: st
     browser.open(f"/jobs/{job_id}")
     browser.shows("Waiting for its time. It is to start at 2100-01-01", "[data-part=waiting]")
     assert "for a worker" not in browser.text("main")
+
+
+def test_earlier_lines_that_are_asked_for_twice_come_once(
+    browser: Browser, stack: Stack, token: str, job_id: str
+) -> None:
+    with stack.sessions.begin() as session:
+        session.add_all(Log(job_id=job_id, attempt=1, level="info", message=f"line {i}") for i in range(1500))
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}/log")
+    browser.shows("line 1499", ".log")
+    browser.js(
+        "const real = fetch; window.held = [];"
+        "const release = new Promise((resolve) => { window.release = resolve; });"
+        "window.fetch = (...request) => {"
+        "  if (!String(request[0]).includes('before=')) return real(...request);"
+        "  const answer = release.then(() => real(...request)); window.held.push(answer); return answer; };"
+        "document.querySelector('.log').scrollTop = 0;"
+    )
+    browser.find("[data-action=earlier]").click()
+    browser.set("input[type=search]", "line")  # a filter draws the lines with their button again
+    browser.find("[data-action=earlier]").click()
+    assert browser.js("return window.held.length") == 2
+    browser.module("release(); await Promise.all(window.held); await new Promise((done) => setTimeout(done));")
+    browser.until(lambda: len(browser.all(".log .msg")) >= 1500)
+    browser.module("await new Promise((done) => setTimeout(done));")
+    assert len(browser.all(".log .msg")) == 1500
+
+
+def test_an_ended_job_that_has_run_again_meanwhile_shows_what_it_recorded(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, job_id: str
+) -> None:
+    client.post(f"/jobs/{job_id}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}/log")
+    browser.find("[data-state=cancelled]")
+    client.post(f"/jobs/{job_id}/retry").raise_for_status()
+    with stack.sessions.begin() as session:
+        session.add(Log(job_id=job_id, attempt=2, level="info", message="a line of the retry"))
+    client.post(f"/jobs/{job_id}/cancel").raise_for_status()
+    browser.js("dispatchEvent(new Event('focus'))")
+    browser.shows("a line of the retry", ".log", 20)

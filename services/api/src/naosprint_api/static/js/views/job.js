@@ -73,9 +73,9 @@ class JobStore extends EventTarget {
   }
 
   async load() {
-    const [known, job, metrics, events, logs] = await Promise.all([
+    const job = await this.get(this.path); // first, so that the other answers have all that an ended job recorded
+    const [known, metrics, events, logs] = await Promise.all([
       descriptions(),
-      this.get(this.path),
       this.get(`${this.path}/metrics`, { max_points: MAX_POINTS }),
       this.pages(`${this.path}/events`, 500),
       this.tail(),
@@ -109,7 +109,9 @@ class JobStore extends EventTarget {
 
   /** Load the page of log lines before the first one. */
   async earlierLogs() {
-    const page = await this.get(`${this.path}/logs`, { before: this.logs[0]?.id, limit: TAIL });
+    const before = this.logs[0]?.id;
+    const page = await this.get(`${this.path}/logs`, { before, limit: TAIL });
+    if (this.logs[0]?.id !== before) return; // asked for twice, or the first lines were dropped
     this.logs.unshift(...page.items);
     this.logsBefore = page.items.length >= TAIL;
   }
@@ -172,7 +174,9 @@ class JobStore extends EventTarget {
   /** Read the job again: one that has ended has no stream, though it can be edited, retried and deleted elsewhere. */
   async refresh() {
     try {
+      const before = this.job.updated_at;
       this.answered(await this.get(this.path));
+      if (this.job.updated_at !== before) this.follow(); // it may have run and ended meanwhile
       await this.read("evaluations");
     } catch (error) {
       if (error.status === 404) this.notify("gone");
