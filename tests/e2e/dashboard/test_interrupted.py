@@ -510,3 +510,23 @@ def test_a_job_that_ends_while_its_page_loads_is_shown_whole(
     browser.js("release()")
     browser.find(".page-head [data-state=cancelled]")
     browser.shows("the last line", ".log", 20)
+
+
+def test_a_list_that_comes_late_has_the_jobs_that_came_and_went_meanwhile(
+    browser: Browser, token: str, client: httpx.Client, job: str
+) -> None:
+    client.post(f"/jobs/{job}/cancel").raise_for_status()
+    browser.sign_in(token)
+    browser.shows("Live", ".top")
+    browser.find(f"tr[data-job='{job}'] [data-state=cancelled]")
+    hold(browser, "/jobs[?]")
+    browser.js("location.hash = '#/?q=m'")
+    browser.until(lambda: browser.js("return window.answered"))
+    client.delete(f"/jobs/{job}").raise_for_status()
+    made = client.post("/jobs", json={"name": "made", **WAITING}).json()["id"]
+    browser.find(f"tr[data-job='{made}']")
+    browser.until(lambda: not browser.all(f"tr[data-job='{job}']"))
+    browser.module(
+        "release(); await new Promise((done) => setTimeout(done)); await new Promise(requestAnimationFrame);"
+    )
+    assert [row.get_attribute("data-job") for row in browser.all("tr[data-job]")] == [made]

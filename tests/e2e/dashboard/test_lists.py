@@ -238,3 +238,15 @@ def test_a_reader_is_offered_no_new_jobs(browser: Browser, stack: Stack) -> None
     browser.sign_in(stack.make_token("reader-of-nothing", "read"))
     browser.shows("No jobs yet")
     assert not browser.all("a[href^='#/submit']")
+
+
+def test_a_search_is_undone_by_the_back_button(browser: Browser, token: str, client: httpx.Client) -> None:
+    park(client, "alpha")
+    browser.sign_in(token)
+    browser.until(lambda: listed(browser) == ["alpha"])
+    next(e for e in browser.all(".segments button") if e.text == "Active").click()
+    browser.find("input[type=search]").send_keys("beta")
+    browser.shows("No matching jobs")
+    browser.driver.back()
+    browser.until(lambda: listed(browser) == ["alpha"])
+    assert browser.find("input[type=search]").get_attribute("value") == ""

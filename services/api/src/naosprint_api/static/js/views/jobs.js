@@ -72,6 +72,8 @@ class JobsView {
     this.selected = new Set();
     /** Newest state of each job from the stream; an older answer does not replace it. */
     this.news = new Map();
+    /** Jobs that were deleted; an older answer does not bring them back. */
+    this.deleted = new Set();
     this.known = new Descriptions();
     this.metrics = [];
     this.hidden = readNames(HIDDEN_KEY);
@@ -98,7 +100,10 @@ class JobsView {
       value: this.filter.q,
       oninput: () => {
         clearTimeout(this.typing);
-        this.typing = setTimeout(() => this.apply({ q: this.search.value.trim() }), 250);
+        this.typing = setTimeout(() => {
+          this.typing = null;
+          this.apply({ q: this.search.value.trim() });
+        }, 250);
       },
     });
     this.count = h("span", { class: "muted", role: "status" });
@@ -170,7 +175,7 @@ class JobsView {
       if (SHOWN.some((name) => next[name] !== before[name])) this.paint();
       return true;
     }
-    if (document.activeElement !== this.search) this.search.value = next.q;
+    if (!this.typing && this.search.value.trim() !== next.q) this.search.value = next.q;
     FILTERS.forEach(([key], i) => this.segments[i].setAttribute("aria-pressed", String(key === next.state)));
     this.paintTag();
     this.load();
@@ -221,6 +226,8 @@ class JobsView {
           this.loaded = true;
         }
         for (const job of page.items) this.put(job);
+        // what the stream has sent since the answer was made
+        for (const job of this.news.values()) if (this.fits(job)) this.put(job);
         cursor = page.next_cursor;
         this.paint();
       } while (cursor && this.jobs.size < MOST);
@@ -240,6 +247,7 @@ class JobsView {
 
   put(given) {
     const job = newer(this.news.get(given.id), given);
+    if (this.deleted.has(job.id) || (job !== given && !this.fits(job))) return;
     this.jobs.set(job.id, job);
     this.rows.get(job.id)?.update(job);
   }
@@ -596,7 +604,10 @@ class JobsView {
     if (type === "reset") this.news.clear();
     if (type === "reset" || (type === "ready" && !this.ready)) this.load();
     if (type === "ready") this.ready = true;
-    if (type === "gone") this.drop(data.id);
+    if (type === "gone") {
+      this.deleted.add(data.id);
+      this.drop(data.id);
+    }
     if (type !== "job") return;
     this.news.set(data.id, data);
     if (!this.loaded) return;
@@ -710,7 +721,7 @@ class JobsView {
       try {
         if (name === "delete") {
           await call(path, { method: "DELETE" });
-          this.drop(job.id);
+          this.onEvent("gone", job);
         } else this.answered(await call(`${path}/${name}`, { method: "POST" }));
         this.selected.delete(job.id);
       } catch (error) {
