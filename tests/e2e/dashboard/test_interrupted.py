@@ -530,3 +530,15 @@ def test_a_list_that_comes_late_has_the_jobs_that_came_and_went_meanwhile(
         "release(); await new Promise((done) => setTimeout(done)); await new Promise(requestAnimationFrame);"
     )
     assert [row.get_attribute("data-job") for row in browser.all("tr[data-job]")] == [made]
+
+
+def test_another_token_shows_other_jobs_at_once(browser: Browser, stack: Stack, token: str, job: str) -> None:
+    other = stack.make_token("owner-of-another-job", "submit")
+    with stack.client(other) as client:
+        made = client.post("/jobs", json={"name": "other", **WAITING}).json()["id"]
+    browser.sign_in(token)
+    browser.find(f"tr[data-job='{job}']")
+    browser.js("location.hash = arguments[0]", f"#/?token={other}")
+    browser.find("dialog button[value=yes]").click()
+    browser.find(f"tr[data-job='{made}']", 20)
+    assert not browser.all(f"tr[data-job='{job}']")

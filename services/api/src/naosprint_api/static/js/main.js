@@ -65,6 +65,7 @@ async function show() {
     // A link from somebody else must not change unnoticed as whom one submits.
     const stored = token() ?? ((await borrowToken()) ? token() : null);
     if (!stored || stored === given || (await confirmDialog(ANOTHER_TOKEN))) useToken(given);
+    if (token() !== stored) leave(); // the page shows what the other token sees
     return show();
   }
   if (!token() && !(await borrowToken())) return mine === turn ? signIn() : undefined;
