@@ -250,3 +250,35 @@ def test_a_search_is_undone_by_the_back_button(browser: Browser, token: str, cli
     browser.driver.back()
     browser.until(lambda: listed(browser) == ["alpha"])
     assert browser.find("input[type=search]").get_attribute("value") == ""
+
+
+def test_the_policies_show_what_their_address_says(browser: Browser, token: str) -> None:
+    browser.sign_in(token)
+    browser.open("/policies?q=kick&robot=t1")
+    robots = "[data-filter=robot]"
+    browser.until(lambda: browser.all("[data-policy]") and browser.find(robots).get_attribute("value") == "t1")
+    few = len(browser.all("[data-policy]"))
+    browser.find("#top nav a[href='#/policies']").click()
+    browser.until(lambda: len(browser.all("[data-policy]")) > few, 20, "the filter of the last address still applies")
+    assert browser.find(robots).get_attribute("value") == ""
+    assert browser.find("input[type=search]").get_attribute("value") == ""
+
+
+def test_a_search_of_policies_is_typed_while_they_load(browser: Browser, token: str) -> None:
+    browser.sign_in(token)
+    browser.shows("Jobs", "h1")
+    browser.js(
+        "const real = fetch; const held = new Promise((resolve) => { window.release = resolve; });"
+        "window.fetch = async (url, ...rest) => {"
+        "  const answer = await real(url, ...rest);"
+        "  if (String(url).includes('/policies')) await held;"
+        "  return answer; };"
+        "location.hash = '#/policies';"
+    )
+    search = "input[aria-label='Search policies']"
+    browser.find(search).send_keys("kick")
+    browser.until(lambda: "q=kick" in browser.driver.current_url)
+    browser.js("release()")
+    browser.until(lambda: browser.all("[data-policy]"))
+    assert browser.find(search).get_attribute("value") == "kick"
+    assert browser.js("return document.activeElement.type") == "search", "the focus has left the field"

@@ -54,16 +54,18 @@ function watch(card) {
   });
 }
 
+const filterOf = (params) => Object.fromEntries(["q", "robot", "skill"].map((name) => [name, params.get(name) ?? ""]));
+
 class PoliciesView {
   constructor(root, { params, signal, go }) {
     this.root = root;
     this.signal = signal;
     this.go = go;
     this.chosen = new Set();
-    this.filter = { q: params.get("q") ?? "", robot: params.get("robot") ?? "", skill: params.get("skill") ?? "" };
+    this.filter = filterOf(params);
   }
 
-  async start() {
+  start() {
     document.title = "Policies · naosprint";
     this.bar = h("div", { class: "select-bar", hidden: true });
     this.box = h("div", { class: "card" }, loading("Loading policies"));
@@ -108,7 +110,7 @@ class PoliciesView {
       this.box,
       this.bar,
     );
-    await this.load();
+    this.load();
   }
 
   async load() {
@@ -148,12 +150,16 @@ class PoliciesView {
   apply(change) {
     this.filter = { ...this.filter, ...change };
     this.go(`/policies${query(this.filter)}`, { replace: true });
-    this.paint();
   }
 
   /** The address changes with the filter only. */
-  update({ path }) {
-    return path === "/policies";
+  update({ path, params }) {
+    if (path !== "/policies") return false;
+    this.filter = filterOf(params);
+    if (this.search.value.trim() !== this.filter.q) this.search.value = this.filter.q;
+    for (const [name, control] of Object.entries(this.selects)) control.value = this.filter[name];
+    this.paint();
+    return true;
   }
 
   fits(card) {
@@ -227,6 +233,7 @@ class PoliciesView {
   }
 
   paint() {
+    if (!this.cards) return;
     const cards = this.cards.filter((card) => this.fits(card));
     if (!cards.length) {
       fill(
@@ -291,6 +298,6 @@ class PoliciesView {
 /** Show the page in `root`. */
 export async function mount(root, context) {
   const view = new PoliciesView(root, context);
-  await view.start();
+  view.start();
   return { update: (where) => view.update(where), destroy: () => {} };
 }
