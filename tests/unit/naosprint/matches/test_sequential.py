@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from naosprint.matches.game import GameSettings
+from naosprint.matches import match
+from naosprint.matches.game import GameSettings, MatchError
 from naosprint.matches.log import GameLog
-from naosprint.matches.match import log_name, play_match
+from naosprint.matches.match import MatchStoppedError, log_name, play_match
 from naosprint.matches.sequential import Gate, Verdict
 from naosprint.matches.teams import Team
 
@@ -68,3 +71,42 @@ def test_a_match_ends_when_it_is_decided(tmp_path: Path, parallel: int) -> None:
     logs = play_match((team, team), ("a", "b"), 10, GameSettings(), tmp_path, parallel=parallel, enough=decided)
     assert [log.goals for log in logs] == [(1, 0), (0, 1), *[(1, 0)] * 4]
     assert len(play_match((team, team), ("a", "b"), 10, GameSettings(), tmp_path, parallel=parallel)) == 10
+
+
+def test_a_game_that_is_over_counts_though_another_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is being filmed meanwhile; the next attempt would play it again."""
+    filmed, stopped = threading.Event(), threading.Event()
+    kinds = iter(("over", "fails", "runs"))
+
+    def play(*_: object, on_moment: Callable[[object], None], **__: object) -> GameLog:
+        kind = next(kinds)
+        if kind == "over":
+            return replace(game(), notes={})
+        assert filmed.wait(60)
+        if kind == "fails":
+            raise MatchError("the server ended")
+        try:
+            while True:
+                on_moment(None)
+        except MatchStoppedError:
+            stopped.set()
+            raise
+
+    def film(_number: int, _log: GameLog) -> None:
+        filmed.set()
+        assert stopped.wait(60)
+
+    monkeypatch.setattr(match, "play_game", play)
+    team, played = Team(tmp_path, ("none",)), []
+    with pytest.raises(MatchError, match="the server ended"):
+        play_match(
+            (team, team),
+            ("a", "b"),
+            3,
+            GameSettings(),
+            tmp_path,
+            parallel=3,
+            process=film,
+            played=lambda number, _: played.append(number),
+        )
+    assert len(played) == 1

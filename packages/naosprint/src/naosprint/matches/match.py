@@ -99,12 +99,12 @@ def play_match(
             they are all that is returned, and no other game is played to its end.
 
     Raises:
-        naosprint.matches.game.MatchError: if a game cannot be played; the others are stopped.
+        naosprint.matches.game.MatchError: if a game cannot be played; others are stopped, or count if they are over.
         MatchStoppedError: if ``stop`` returned true.
     """
     folder.mkdir(parents=True, exist_ok=True)
     shown = names if names[0] != names[1] else (f"{names[0]} 1", f"{names[1]} 2")
-    ended, lock = threading.Event(), threading.Lock()
+    ended, decided, lock = threading.Event(), threading.Event(), threading.Lock()
     logs: dict[int, GameLog] = {}
     first: list[GameLog] = []
 
@@ -122,13 +122,14 @@ def play_match(
         if fresh:
             process(game, log)
         with lock:
-            if ended.is_set():
+            if decided.is_set():
                 raise MatchStoppedError
             played(game, log)
             logs[game] = log
             while len(first) + 1 in logs:
                 first.append(logs[len(first) + 1])
                 if enough(list(first)):
+                    decided.set()
                     ended.set()
                     break
         return log
@@ -141,13 +142,12 @@ def play_match(
     with ThreadPoolExecutor(parallel, thread_name_prefix="game") as pool:
         futures = [pool.submit(play, game) for game in range(1, games + 1)]
         finished, _ = wait(futures, return_when=FIRST_EXCEPTION)
-        decided = ended.is_set()
         ended.set()
         for future in futures:
             future.cancel()
         errors = [error for future in finished if not future.cancelled() and (error := future.exception()) is not None]
         # the reason, not what it stopped
         error = min(errors, key=lambda error: isinstance(error, MatchStoppedError), default=None)
-        if error is not None and not (decided and isinstance(error, MatchStoppedError)):
+        if error is not None and not (decided.is_set() and isinstance(error, MatchStoppedError)):
             raise error
     return first
