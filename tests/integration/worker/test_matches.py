@@ -13,7 +13,7 @@ from naojobs.matches import MatchRequest, StoredGame
 from naojobs.models import Match
 from naojobs.states import WorkState
 from naojobs.store import game_key, new_nonce
-from naojobs.teams import upload_team
+from naojobs.teams import Film, upload_team
 from naosim.launchers import LABELS_VARIABLE
 from naosim.mujoco.program import PROGRAM_VARIABLE
 from naosprint.matches.log import GameLog
@@ -38,10 +38,10 @@ def claim_match(service: Service, match_id: str) -> MatchClaim:
     return claim
 
 
-def submit_match(service: Service) -> str:
+def submit_match(service: Service, film: Film = "off") -> str:
     team = packed(("team.json", TEAM))
     upload_team(service.sessions, service.store, owner="tester", name="standing", data=team)
-    request = MatchRequest(("standing", "standing"), 2, 1, 10.0, film="off")
+    request = MatchRequest(("standing", "standing"), 2, 1, 10.0, film=film)
     return matches.submit_match(service.sessions, request, owner="tester")[0].id
 
 
@@ -57,7 +57,7 @@ def without_links(*_: object, **__: object) -> None:
     raise PermissionError(errno.EPERM, "no links on this disk")
 
 
-def attempt(service: Service, claim: MatchClaim, *played: int) -> Outcome:
+def attempt(service: Service, claim: MatchClaim, *played: int, stop: StopRequest | None = None) -> Outcome:
     """Run the child of an attempt in whose folder the logs of some games are already."""
     workdir = service.folder / "work" / str(claim.lease.attempt)
     (workdir / "logs").mkdir(parents=True)
@@ -65,7 +65,7 @@ def attempt(service: Service, claim: MatchClaim, *played: int) -> Outcome:
         over().save(workdir / "logs" / log_name(number))
     write_assignment(claim, workdir)
     settings = service.settings.model_copy(update={"worker_games": 1})
-    services = (settings, service.sessions, service.store, workdir, StopRequest(), Progress(workdir))
+    services = (settings, service.sessions, service.store, workdir, stop or StopRequest(), Progress(workdir))
     return match.work(Services(*services))
 
 
@@ -98,6 +98,25 @@ def test_the_results_are_those_of_all_games_in_whatever_order_they_were_recorded
     lines = [each.message for each in matches.events_of(service.sessions, match_id, limit=100, after=None)]
     assert [lines.count(f"game {number} ended 0:0") for number in (1, 2)] == [1, 1]
     assert "game 1, half 1, 3 s: lost theirs, player 1: it ended" in lines
+
+
+def test_a_stop_while_a_game_is_filmed_costs_the_film_and_not_the_game(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = StopRequest()
+
+    def play(*_: object, **__: object) -> GameLog:
+        stop._event.set()  # as the signal does
+        return over()
+
+    monkeypatch.setattr("naosprint.matches.match.play_game", play)
+    match_id = submit_match(service, film="all")
+    claim = claim_match(service, match_id)
+    assert attempt(service, claim, stop=stop).code is TrainerExitCode.STOPPED
+    (game,) = matches.games_of(service.sessions, match_id)
+    assert [file["name"] for file in game.manifest["files"]] == [log_name(1)]
+    lines = [each.message for each in matches.events_of(service.sessions, match_id, limit=100, after=None)]
+    assert "game 1 has no film: the match was stopped meanwhile" in lines
 
 
 def test_a_match_that_this_worker_cannot_play_is_tried_again(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:

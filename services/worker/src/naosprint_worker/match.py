@@ -123,7 +123,7 @@ class _Match:
             matches.record_moment(self._services.sessions, self._claim.lease, {"game": game, **asdict(moment)})
 
     def _film(self, number: int, log: GameLog) -> None:
-        """Film a game, if that is requested and possible."""
+        """Film a game, if that is requested and possible before a stop."""
         self._running.discard(number)
         wanted = self._claim.spec.film
         frames = goal_frames(log) if wanted == "goals" else None
@@ -135,6 +135,8 @@ class _Match:
         except OSError as error:
             path.unlink(missing_ok=True)
             self._note("warning", f"game {number} has no film: {error}")
+        except MatchStoppedError:  # the game counts: played again, it would end in another way
+            self._note("warning", f"game {number} has no film: the match was stopped meanwhile")
 
     def _stop(self) -> None:
         """Raise MatchStoppedError if the match was asked to stop."""
