@@ -162,6 +162,7 @@ def test_a_relay_that_is_killed_ends_the_game_and_blames_no_team(
             opened[0].kill()
 
     monkeypatch.setattr(game, "AgentEndpoints", Opened)
+    monkeypatch.setattr(game, "_LOOK_S", 0.0)
     standing = entering(tmp_path / "standing")
     settings = GameSettings(players=1, half_s=8.0)
     with pytest.raises(ServerFailedError, match="the relay of the agents ended: exit code -9"):

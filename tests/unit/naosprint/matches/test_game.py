@@ -7,6 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from naosim.launchers import Address
+from naosprint.matches.endpoints import AgentEndpoints
 from naosprint.matches.game import GameSettings, ServerFailedError, _Half
 from naosprint.matches.stream import Frame
 from naosprint.matches.teams import Team
@@ -33,8 +35,12 @@ def test_a_half_ends_when_its_servers_time_stands_still_or_goes_back(
     team = Team(tmp_path, ("true",))
     half = _Half((team, team), ("a", "b"), 0, 0, GameSettings(), (0, 0), has_to_come=True)
     monitor = cast("Any", Times(*times_s))
-    for _ in range(frames):
-        half._next(monitor, cast("Any", None), 1.0)
-    if frames < len(times_s):
-        with pytest.raises(ServerFailedError, match=f"its time is {times_s[frames]:g} s after {max(times_s):g} s"):
-            half._next(monitor, cast("Any", None), 1.0)
+    endpoints = AgentEndpoints(Address("127.0.0.1", 9, 10), {("left", 1): False})
+    try:
+        for _ in range(frames):
+            half._next(monitor, endpoints, 1.0)
+        if frames < len(times_s):
+            with pytest.raises(ServerFailedError, match=f"its time is {times_s[frames]:g} s after {max(times_s):g} s"):
+                half._next(monitor, endpoints, 1.0)
+    finally:
+        endpoints.close()

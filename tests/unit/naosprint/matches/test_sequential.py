@@ -75,16 +75,17 @@ def test_a_match_ends_when_it_is_decided(tmp_path: Path, parallel: int) -> None:
 
 def test_a_game_that_is_over_counts_though_another_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is being filmed meanwhile; the next attempt would play it again."""
-    filmed, stopped = threading.Event(), threading.Event()
+    filmed, runs, stopped = threading.Event(), threading.Event(), threading.Event()
     kinds = iter(("over", "fails", "runs"))
 
     def play(*_: object, on_moment: Callable[[object], None], **__: object) -> GameLog:
         kind = next(kinds)
         if kind == "over":
             return replace(game(), notes={})
-        assert filmed.wait(60)
         if kind == "fails":
+            assert filmed.wait(60) and runs.wait(60)
             raise MatchError("the server ended")
+        runs.set()
         try:
             while True:
                 on_moment(None)
