@@ -137,14 +137,19 @@ def test_a_dark_page_is_printed_dark_on_white(
     assert browser.js("return localStorage['naosprint.theme']") == "dark"
 
 
-def test_earlier_lines_of_the_log_come_in_pages(
-    browser: Browser, stack: Stack, token: str, client: httpx.Client, job_id: str
-) -> None:
+def open_long_log(browser: Browser, stack: Stack, token: str, job_id: str) -> None:
+    """Give a job 1,500 lines of its log, and open its tab, which shows the last 1,000."""
     with stack.sessions.begin() as session:
         session.add_all(Log(job_id=job_id, attempt=1, level="info", message=f"line {i}") for i in range(1500))
     browser.sign_in(token)
     browser.open(f"/jobs/{job_id}/log")
     browser.shows("line 1499", ".log")
+
+
+def test_earlier_lines_of_the_log_come_in_pages(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, job_id: str
+) -> None:
+    open_long_log(browser, stack, token, job_id)
     assert len(browser.all(".log .msg")) == 1000
     browser.js("document.querySelector('.log').scrollTop = 0")
     browser.find("[data-action=earlier]").click()
@@ -256,11 +261,7 @@ def test_a_job_with_a_start_time_waits_for_no_worker(browser: Browser, token: st
 def test_earlier_lines_that_are_asked_for_twice_come_once(
     browser: Browser, stack: Stack, token: str, job_id: str
 ) -> None:
-    with stack.sessions.begin() as session:
-        session.add_all(Log(job_id=job_id, attempt=1, level="info", message=f"line {i}") for i in range(1500))
-    browser.sign_in(token)
-    browser.open(f"/jobs/{job_id}/log")
-    browser.shows("line 1499", ".log")
+    open_long_log(browser, stack, token, job_id)
     browser.js(
         "const real = fetch; window.held = [];"
         "const release = new Promise((resolve) => { window.release = resolve; });"

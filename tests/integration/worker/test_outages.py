@@ -264,17 +264,22 @@ def test_store_that_damages_everything_for_longer_fails_no_job(
     assert (job.state, job.failures) == (WorkState.QUEUED, 0)
 
 
+def put_evaluation(service: Service, workdir: Path) -> tuple[str, StoreManifest]:
+    """Put the folder ``evaluation`` into the store; return its key and manifest."""
+    result = workdir / "evaluation"
+    result.mkdir(parents=True)
+    (result / "evaluation.json").write_text("{}", encoding="utf-8")
+    key = evaluation_key("job_x", "eval_x", 1, new_nonce())
+    return key, service.store.put_directory(key, result)
+
+
 @pytest.mark.parametrize("answer", ["page", "missing"])
 def test_what_a_store_in_trouble_does_not_return_is_not_lost(
     proxied_service: Service, store_proxy: StoreProxy, answer: str
 ) -> None:
     """The work is put off, whatever its kind; a store that returns new files has lost the artifact."""
     service, workdir = proxied_service, proxied_service.folder / "attempt"
-    result = workdir / "evaluation"
-    result.mkdir(parents=True)
-    (result / "evaluation.json").write_text("{}", encoding="utf-8")
-    key = evaluation_key("job_x", "eval_x", 1, new_nonce())
-    manifest = service.store.put_directory(key, result)
+    key, manifest = put_evaluation(service, workdir)
     settings = service.settings.model_copy(update={"worker_patience_s": 0.2})
     services = Services(settings, service.sessions, service.store, workdir, StopRequest(), progress.Progress(workdir))
     store_proxy.wrong = [answer] * 10**6
@@ -295,11 +300,7 @@ def test_a_service_that_answers_slowly_is_no_stall(
     """The evaluating process of a worker that takes it for hung after less time than the answer takes."""
     monkeypatch.setattr(progress, "_PERIOD_S", 0.02)
     service, workdir = proxied_service, proxied_service.folder / "attempt"
-    result = workdir / "evaluation"
-    result.mkdir(parents=True)
-    (result / "evaluation.json").write_text("{}", encoding="utf-8")
-    key = evaluation_key("job_x", "eval_x", 1, new_nonce())
-    manifest = service.store.put_directory(key, result)
+    key, manifest = put_evaluation(service, workdir)
     services = Services(
         service.settings, service.sessions, service.store, workdir, StopRequest(), progress.Progress(workdir)
     )
@@ -310,7 +311,7 @@ def test_a_service_that_answers_slowly_is_no_stall(
             session.execute(lock)
 
     calls: dict[str, Callable[[], object]] = {
-        "put": lambda: services.put(f"{key}-again", result, what="the evaluation"),
+        "put": lambda: services.put(f"{key}-again", workdir / "evaluation", what="the evaluation"),
         "fetch": lambda: services.fetch(key, workdir / "fetched", manifest),
         "database": lambda: services.database(write, "writing"),
     }
