@@ -270,6 +270,31 @@ class Browser:
         assert "error" not in outcome, outcome["error"]
         return outcome.get("value")
 
+    def hold(self, pattern: str, what: str = "answer") -> None:
+        """Hold GET requests whose address fits a pattern, or their answers, until the page calls `release`."""
+        self.js(
+            """
+            const [pattern, what] = [new RegExp(arguments[0]), arguments[1]];
+            const real = fetch;
+            const held = new Promise((resolve) => { window.release = resolve; });
+            window.others = [];
+            window.fetch = async (url, options) => {
+              if (options.method !== "GET" || !pattern.test(String(url))) {
+                others.push(real(url, options));
+                return others.at(-1);
+              }
+              window.asked = true;
+              if (what === "request") await held;
+              const answer = await real(url, options);
+              window.answered = true;
+              await held;
+              return answer;
+            };
+            """,
+            pattern,
+            what,
+        )
+
     def size(self, width: int, height: int) -> None:
         """Set the size of the view in CSS pixels; a narrow one is a phone's."""
         self.driver.execute_cdp_cmd(

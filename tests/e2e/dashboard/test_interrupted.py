@@ -216,16 +216,45 @@ def test_a_dialog_is_closed_when_its_page_is_left(browser: Browser, token: str, 
     assert browser.text("h1") == "Jobs"
 
 
-def test_the_grouping_of_a_comparison_is_in_its_address(
+def test_what_is_chosen_in_a_comparison_is_in_its_address(
     browser: Browser, token: str, client: httpx.Client, job: str
 ) -> None:
+    another = client.post("/jobs", json={"name": "another", **WAITING}).json()["id"]
+
+    def chosen() -> tuple[str | None, ...]:
+        return (
+            browser.find("select[aria-label='Group by']").get_attribute("value"),
+            browser.find(".segments button[aria-pressed=true]").text,
+            browser.find("input[aria-label='Smoothing']").get_attribute("value"),
+        )
+
     browser.sign_in(token)
     browser.open(f"/compare?jobs={job}")
     browser.find("select[aria-label='Group by']").send_keys("Robot")
     browser.shows("Line: mean.")
+    next(e for e in browser.all(".segments button") if e.text == "Training time").click()
+    browser.find("input[aria-label='Smoothing']").send_keys(Keys.HOME)
     browser.driver.refresh()
     browser.shows("Line: mean.")
-    assert browser.find("select[aria-label='Group by']").get_attribute("value") == "robot"
+    assert chosen() == ("robot", "Training time", "0")
+    browser.find("input[aria-label='Add a job']").send_keys(another, Keys.ENTER)
+    browser.find(f"tr[data-job='{another}']")
+    assert chosen() == ("robot", "Training time", "0")
+
+
+def test_a_page_that_was_left_opens_no_other_page(browser: Browser, token: str, client: httpx.Client, job: str) -> None:
+    browser.sign_in(token)
+    browser.open("/submit")
+    browser.js(HOLD_POSTS)
+    browser.find("form button.primary").click()
+    browser.js("location.hash = '#/studies'")
+    browser.shows("Studies", "h1")
+    browser.js("release()")
+    browser.shows("submitted.", "#toasts")
+    assert browser.driver.current_url.endswith("#/studies")
+    made = {row["id"] for row in client.get("/jobs").json()["items"]} - {job}
+    assert len(made) == 1
+    client.post(f"/jobs/{made.pop()}/cancel").raise_for_status()
 
 
 def change(stack: Stack, job: str, **values: Any) -> None:
@@ -452,32 +481,6 @@ def test_empty_charts_of_a_training_with_metrics_do_not_say_that_it_had_none(
     assert "before its first update" not in browser.text("main")
 
 
-def hold(browser: Browser, pattern: str, what: str = "answer") -> None:
-    """Hold GET requests whose address fits a pattern, or their answers, until the page calls `release`."""
-    browser.js(
-        """
-        const [pattern, what] = [new RegExp(arguments[0]), arguments[1]];
-        const real = fetch;
-        const held = new Promise((resolve) => { window.release = resolve; });
-        window.others = [];
-        window.fetch = async (url, options) => {
-          if (options.method !== "GET" || !pattern.test(String(url))) {
-            others.push(real(url, options));
-            return others.at(-1);
-          }
-          window.asked = true;
-          if (what === "request") await held;
-          const answer = await real(url, options);
-          window.answered = true;
-          await held;
-          return answer;
-        };
-        """,
-        pattern,
-        what,
-    )
-
-
 def test_a_comparison_shows_no_answer_older_than_the_stream(
     browser: Browser, token: str, client: httpx.Client, job: str
 ) -> None:
@@ -485,7 +488,7 @@ def test_a_comparison_shows_no_answer_older_than_the_stream(
     browser.open(f"/compare?jobs={job}")
     browser.shows("Live", ".top")
     browser.js("dispatchEvent(new Event('pagehide'))")
-    hold(browser, f"/jobs/{job}$")
+    browser.hold(f"/jobs/{job}$")
     browser.js("dispatchEvent(new Event('pageshow'))")
     browser.until(lambda: browser.js("return window.answered"))
     client.post(f"/jobs/{job}/cancel").raise_for_status()
@@ -500,7 +503,7 @@ def test_a_job_that_ends_while_its_page_loads_is_shown_whole(
 ) -> None:
     browser.sign_in(token)
     browser.find(f"tr[data-job='{job}']")
-    hold(browser, f"/jobs/{job}$", "request")
+    browser.hold(f"/jobs/{job}$", "request")
     browser.js("location.hash = arguments[0]", f"#/jobs/{job}/log")
     browser.until(lambda: browser.js("return window.asked"))
     browser.module("await Promise.all(window.others)")
@@ -519,7 +522,7 @@ def test_a_list_that_comes_late_has_the_jobs_that_came_and_went_meanwhile(
     browser.sign_in(token)
     browser.shows("Live", ".top")
     browser.find(f"tr[data-job='{job}'] [data-state=cancelled]")
-    hold(browser, "/jobs[?]")
+    browser.hold("/jobs[?]")
     browser.js("location.hash = '#/?q=m'")
     browser.until(lambda: browser.js("return window.answered"))
     client.delete(f"/jobs/{job}").raise_for_status()

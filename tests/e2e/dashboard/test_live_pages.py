@@ -41,6 +41,25 @@ def report(browser: Browser, client: httpx.Client, study: str, value: float) -> 
     client.post(f"/studies/{study}/trials/{asked - 1}/tell", json={"values": [value]}).raise_for_status()
 
 
+def test_a_study_stays_when_a_job_of_it_is_deleted_while_it_is_read(
+    browser: Browser, token: str, client: httpx.Client
+) -> None:
+    job = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+    space = {"gamma": {"type": "float", "low": 0.9, "high": 0.99}}
+    body = {"name": "shrinking", "job": job, "search": {"space": space, "trials": 1, "parallel": 1}}
+    study = client.post("/studies", json=body).raise_for_status().json()["id"]
+    trial = browser.until(lambda: client.get("/jobs").json()["items"], 60)[0]["id"]
+    browser.sign_in(token)
+    browser.hold(f"/jobs/{trial}/metrics", "request")
+    browser.js("location.hash = arguments[0]", f"#/studies/{study}")
+    browser.until(lambda: browser.js("return window.asked"))
+    client.post(f"/jobs/{trial}/cancel").raise_for_status()
+    client.delete(f"/jobs/{trial}").raise_for_status()
+    browser.allowed.append("404")
+    browser.js("release()")
+    browser.shows("shrinking", "h1")
+
+
 @pytest.fixture
 def match(client: httpx.Client) -> str:
     """A match that waits for its time."""
@@ -182,12 +201,13 @@ def test_times_are_local_and_of_one_style(browser: Browser, token: str, client: 
         browser.sign_in(token)
         browser.open(f"/matches/{match}")
         browser.shows("Waiting for its time. It is to start at 2100-01-01 09:00 or later.")
-        old, large, whole = browser.module(
+        old, *numbers = browser.module(
             "const { ago, significant } = await import('/ui/js/format.js');"
-            "return [ago('2020-03-12T20:00:00Z'), significant(-1234.5), significant(999.7)];"
+            "const numbers = [-1234.5, 999.7, 40_000_000, 1_234_567.5];"
+            "return [ago('2020-03-12T20:00:00Z'), ...numbers.map((number) => significant(number))];"
         )
         assert old == "2020-03-13"
-        assert (large, whole) == ("\N{MINUS SIGN}1,235", "1,000")
+        assert numbers == ["\N{MINUS SIGN}1,235", "1,000", "40,000,000", "1.23e6"]
     finally:
         browser.driver.execute_cdp_cmd("Emulation.setTimezoneOverride", {"timezoneId": ""})
 

@@ -42,11 +42,11 @@ export const fixed = (v, digits = 2) =>
         .replace(/^-(?=0(\.0*)?$)/, "")
         .replace("-", "−");
 
-/** Significant digits, or all of a whole part that has more; scientific when tiny or huge. */
+/** Significant digits, or all of a whole part that has more; scientific when tiny or huge, whole numbers from 1e9 on. */
 export function significant(v, digits = 3) {
   if (missing(v)) return NONE;
   const a = Math.abs(v);
-  if (a < 1e6 && Math.abs(Number(v.toPrecision(digits))) >= 1000)
+  if (a < (Number.isInteger(v) ? 1e9 : 1e6) && Math.abs(Number(v.toPrecision(digits))) >= 1000)
     return v.toLocaleString("en-US", { maximumFractionDigits: Math.max(0, digits - 4) }).replace("-", "−");
   if (a !== 0 && (a < 1e-3 || a >= 1e6))
     return v

@@ -48,7 +48,7 @@ function place() {
 }
 
 /** Open a page of the dashboard. */
-export function go(path, { replace = false } = {}) {
+function go(path, { replace = false } = {}) {
   if (replace) {
     history.replaceState(null, "", `#${path}`);
     show();
@@ -96,6 +96,8 @@ async function show() {
     return;
   }
   const controller = new AbortController();
+  // A view that was left opens no other page when an answer comes that it waited for.
+  const goFromHere = (to, how) => controller.signal.aborted || go(to, how);
   current = { name: found.name, page: found, controller };
   try {
     const module = await found.load().catch(() => {
@@ -105,7 +107,7 @@ async function show() {
     // A view that was left while it was loading paints into an element that is no longer shown.
     const root = h("div");
     fill(main, root);
-    const view = await module.mount(root, { ...where, signal: controller.signal, go });
+    const view = await module.mount(root, { ...where, signal: controller.signal, go: goFromHere });
     if (mine !== turn) {
       view?.destroy?.();
       return;

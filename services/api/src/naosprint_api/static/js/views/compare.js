@@ -28,6 +28,10 @@ const MAX_JOINED = 6000;
 const FINE_GRID = 1200;
 const DASHES = [undefined, [6, 4], [2, 3], [10, 4, 2, 4]];
 
+const USUAL_AXIS = "step";
+const USUAL_SMOOTHING = 0.6;
+const MOST_SMOOTHING = 0.98;
+
 /** Most columns of metrics, and of results, in the table. */
 const MOST_METRICS = 3;
 const MOST_RESULTS = 4;
@@ -49,7 +53,16 @@ const askedBy = (params) => `${params.get("group")} ${params.get("jobs")}`;
 
 /** The grouping that an address asks for; a sweep's jobs differ in what was swept. */
 const groupingOf = (params) =>
-  GROUPINGS[params.get("by")] ? params.get("by") : params.get("group") ? "settings" : "none";
+  Object.hasOwn(GROUPINGS, params.get("by")) ? params.get("by") : params.get("group") ? "settings" : "none";
+
+/** The smoothing that an address asks for. */
+const smoothingOf = (params) => {
+  const asked = Number(params.get("smoothing") ?? NaN);
+  return asked >= 0 && asked <= MOST_SMOOTHING ? asked : USUAL_SMOOTHING;
+};
+
+/** The horizontal axis that an address asks for. */
+const axisAsked = (params) => (Object.hasOwn(X_AXES, params.get("x")) ? params.get("x") : USUAL_AXIS);
 
 /** Paths that every list of jobs shows anyway. */
 const SHOWN = new Set(["seed", "task.name", "robot.name", "simulator.name", "algorithm.preset"]);
@@ -127,8 +140,8 @@ class CompareView {
     this.group = params.get("group");
     this.ids = [...new Set((params.get("jobs") ?? "").split(",").filter(Boolean))];
     this.by = groupingOf(params);
-    this.x = "step";
-    this.weight = 0.6;
+    this.x = axisAsked(params);
+    this.weight = smoothingOf(params);
     this.items = [];
     this.charts = [];
   }
@@ -169,9 +182,11 @@ class CompareView {
     this.stopTheme = onTheme(() => this.paintTable());
   }
 
-  /** The address changes with the grouping only; other jobs need another view. */
+  /** The address changes with what is chosen on the page; other jobs need another view. */
   update({ params }) {
-    return this.items.length > 0 && askedBy(params) === this.asked && groupingOf(params) === this.by;
+    const chosen =
+      groupingOf(params) === this.by && axisAsked(params) === this.x && smoothingOf(params) === this.weight;
+    return this.items.length > 0 && askedBy(params) === this.asked && chosen;
   }
 
   /** Read all jobs again, and metrics that are missing: changes from before `ready` or `reset` were not sent. */
@@ -297,6 +312,7 @@ class CompareView {
             Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key)));
             this.charts[0]?.chart.zoom(null);
             this.draw();
+            this.open(this.ids, { replace: true });
           },
         },
         axis.label,
@@ -305,7 +321,7 @@ class CompareView {
     const range = h("input", {
       type: "range",
       min: 0,
-      max: 0.98,
+      max: MOST_SMOOTHING,
       step: 0.02,
       value: this.weight,
       "aria-label": "Smoothing",
@@ -313,6 +329,7 @@ class CompareView {
         this.weight = Number(range.value);
         this.draw();
       },
+      onchange: () => this.open(this.ids, { replace: true }),
     });
     this.legend = h("div", { class: "legend" });
     this.grid = h("div", { class: "charts" });
@@ -840,8 +857,14 @@ class CompareView {
 
   open(ids, how) {
     const usual = this.group ? "settings" : "none";
-    const jobs = this.group ? null : ids.join(",");
-    this.go(`/compare${query({ group: this.group, jobs, by: this.by === usual ? null : this.by })}`, how);
+    const address = {
+      group: this.group,
+      jobs: this.group ? null : ids.join(","),
+      by: this.by === usual ? null : this.by,
+      x: this.x === USUAL_AXIS ? null : this.x,
+      smoothing: this.weight === USUAL_SMOOTHING ? null : this.weight,
+    };
+    this.go(`/compare${query(address)}`, how);
   }
 
   csv() {

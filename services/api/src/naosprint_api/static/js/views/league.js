@@ -55,11 +55,11 @@ const card = (title, headings, texts, rows) =>
   );
 
 /** Show the page in `root`. */
-export async function mount(root, { signal }) {
+export async function mount(root, { signal, go }) {
   document.title = "League · naosprint";
   const box = h("div", { class: "stack" }, loading("Loading the league"));
   const add = may("submit")
-    ? h("button", { class: "primary", onclick: () => newMatch(signal) }, icon("plus"), "New match")
+    ? h("button", { class: "primary", onclick: () => newMatch(signal, go) }, icon("plus"), "New match")
     : null;
   fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "League"), add), box);
   const draw = async (items) => {

@@ -21,7 +21,7 @@ async function knownTeams(signal) {
 }
 
 /** Ask for a match and submit it; opens the page of the match. */
-export async function newMatch(signal) {
+export async function newMatch(signal, go) {
   const list = h("datalist", { id: "match-teams" });
   const team = (side, value) =>
     h("input", {
@@ -65,7 +65,7 @@ export async function newMatch(signal) {
     try {
       const match = await send("matches", body);
       dialog.close();
-      location.hash = `#/matches/${match.id}`;
+      go(`/matches/${match.id}`);
     } catch (error) {
       complain(trouble, error);
     }

@@ -131,7 +131,11 @@ export async function mount(root, { id, signal, go }) {
     await Promise.all(
       wanted.map(async (trial) => {
         if (histories.get(trial.number)?.final) return;
-        const { columns } = await call(`jobs/${trial.job_id}/metrics?max_points=300`, { signal });
+        const path = `jobs/${trial.job_id}/metrics?max_points=300`;
+        const { columns } = await call(path, { signal }).catch((error) => {
+          if (error.status === 404) return { columns: {} }; // the job, not the study, was deleted since
+          throw error;
+        });
         histories.set(trial.number, {
           final: trial.state !== "running",
           x: columns.step ?? [],
