@@ -24,12 +24,18 @@ from pydantic import ValidationError
 NAO = robots.get("nao-0")
 
 
-def environment_of(n: int = 4, seed: int = 0, engine: Engine = "mujoco", **settings: Any) -> Environment:
-    """Return n robots T1 at their starts."""
+def loaded(n: int = 4, seed: int = 0, engine: Engine = "mujoco", **settings: Any) -> Environment:
+    """Return n robots T1 whose starts have been loaded."""
     parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), T1)
     simulator = MujocoSimulator(T1, n, BoosterEmbeddedParameters(engine=engine))
     environment = Environment(simulator, Sprint1, parameters, seed)
     environment.load_starts(environment.task.starts(1, 0, 0.0))
+    return environment
+
+
+def environment_of(n: int = 4, seed: int = 0, engine: Engine = "mujoco", **settings: Any) -> Environment:
+    """Return n robots T1 at their starts."""
+    environment = loaded(n, seed, engine, **settings)
     environment.restart(np.arange(n), np.zeros(n, dtype=np.int64))
     return environment
 
@@ -364,6 +370,15 @@ def test_worlds_are_drawn_once_for_a_robot_or_for_every_episode() -> None:
         assert (found[0][:, 0] == 1.0).tolist() == (~disturbed).tolist()
         assert (found[0] != found[1])[disturbed][:, 0].all() == by_episode
         assert len(np.unique(np.array(found)[:, disturbed, 0])) == (3 if by_episode else 1) * disturbed.sum()
+
+
+def test_light_robots_that_are_not_disturbed_yet_continue_after_a_checkpoint() -> None:
+    """Gravity does not grow: it is part of their worlds from the first episode on."""
+    settings = {"gravity_min": 0.4, "mass_variation": 0.1, "disturbance_growth": 0.25}
+    environment, resumed = environment_of(engine="fast", **settings), loaded(engine="fast", **settings)
+    resumed.load_state({name: array.copy() for name, array in environment.state().items()})
+    assert environment.disturbances.strength == 0.0
+    np.testing.assert_array_equal(run(resumed, 10), run(environment, 10))
 
 
 @pytest.mark.parametrize("growth", [0.0, 0.25])

@@ -210,7 +210,7 @@ class Disturbances:
         for name, array in self.arrays.items():
             array[:] = arrays[name]
         if self._redraws and self._varies:
-            self._draw_worlds(np.flatnonzero(self._drawn_at[:, 1] * self._disturbed))
+            self._draw_worlds(np.flatnonzero(self._disturbed))
 
     def begin(self, rows: IntArray) -> None:
         """Discard the commands of earlier episodes of the robots ``rows``, and draw the delay of the new ones."""
