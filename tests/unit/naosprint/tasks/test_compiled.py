@@ -169,6 +169,19 @@ class OwnBlock(Sprint1):
         return (*super().observation_blocks(), ObservationBlock(("own",), lambda rows: self.world.steps[rows][:, None]))
 
 
+class OwnUpdate(Sprint1):
+    """A sprint with an observation whose number is stored in Python after each step."""
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return one block more."""
+        kept = self.add_array("kept")
+
+        def update(rows: slice) -> None:
+            kept[rows] = self.world.steps[rows]
+
+        return (*super().observation_blocks(), ObservationBlock(("kept",), self.stored("kept"), update=update))
+
+
 class Composed(Sprint1):
     """A sprint with another choice of the project's blocks, and a weight of its own."""
 
@@ -213,7 +226,7 @@ def test_what_has_no_number_is_the_same_in_both_interpreters() -> None:
         environment.close()
 
 
-@pytest.mark.parametrize("task", [OwnAdvance, OwnTerm, OwnBlock])
+@pytest.mark.parametrize("task", [OwnAdvance, OwnTerm, OwnBlock, OwnUpdate])
 def test_a_task_with_a_part_in_python_only_runs_in_python(task: type[Task]) -> None:
     environment = opened(EmbeddedSimulator(NAO, 3), task)
     assert not environment.compiled

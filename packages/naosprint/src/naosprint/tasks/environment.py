@@ -162,7 +162,8 @@ class Environment:
         whole = (len(measurements), len(observed), len(terms)) == tuple(
             map(len, (task.measurements, self.observer.blocks, self._terms))
         )
-        if own or not whole or native is None or not native.is_usable or any(block.begin for block, _ in observed):
+        own = own or any(block.begin or block.update for block, _ in observed)
+        if own or not whole or native is None or not native.is_usable:
             return None
         stores = [store for measurement in measurements for store in measurement.stores]
         stores += [store for block, _ in observed for store in block.stores]
