@@ -278,7 +278,11 @@ std::string SceneWriter::write(std::string_view head, bool full, const double* p
     bool moved = full;
     for (int k = 0; k < 16 && !moved; ++k) moved = !(std::fabs(pose[k] - sent[k]) <= kMoved);
     if (!moved) continue;
-    sent = pose;
+    // a full frame may be for one monitor only: the others, and it, get every pose in the next incremental one
+    if (full)
+      sent.fill(std::numeric_limits<float>::quiet_NaN());
+    else
+      sent = pose;
     out += " (SLT";
     for (const float value : pose) {
       out += ' ';

@@ -216,6 +216,24 @@ def test_the_scene_graph_gives_back_every_torso_through_full_and_incremental_fra
     assert b"SLT" not in writer.write(b"((time 9))", False, now)
 
 
+def test_a_full_frame_for_one_monitor_takes_no_motion_from_the_others() -> None:
+    rng = np.random.default_rng(0)
+    writer, position = _core.SceneWriter(*describe([Actor(NAO, 1, 7)])), np.empty(3)
+    monitors = [_core.SceneReader(), _core.SceneReader()]
+    now = poses(1, rng)
+    for monitor in monitors:
+        monitor.read(writer.write(b"((time 0))", True, now)[4:])
+    monitors[0].read(writer.write(b"((time 1))", False, now)[4:])
+    before, now = now, poses(1, rng)
+    monitors[1].read(writer.write(b"((time 2))", True, now)[4:])
+    for shown in (now, before):  # the robot stays where it is; it returns to where the first monitor saw it
+        frame = writer.write(b"((time 3))", False, shown)[4:]
+        for monitor in monitors:
+            monitor.read(frame)
+            assert monitor.torso(1, 7, position, np.empty((3, 3)))
+            assert position == pytest.approx(shown[1, :3], abs=0.0051, rel=1e-5)
+
+
 def test_brackets_of_a_frame_match_and_viewers_find_what_they_look_for() -> None:
     steps, rows = describe([Actor(NAO, 1, 7)])
     text = _core.SceneWriter(steps, rows).write(b"((time 0))", True, poses(1, np.random.default_rng(0)))[4:].decode()
