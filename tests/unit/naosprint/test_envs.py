@@ -164,6 +164,22 @@ def test_a_mask_restarts_only_its_robots() -> None:
     envs.close()
 
 
+def test_the_action_of_a_robot_that_waits_for_its_next_episode_may_be_anything() -> None:
+    envs = gymnasium.make_vec(SPRINT, num_envs=2, robot="nao-1")
+    envs.reset(seed=0)
+    envs.action_space.seed(0)
+    ended = np.zeros(2, dtype=np.bool_)
+    while ended.sum() != 1:
+        _, _, terminated, truncated, _ = envs.step(envs.action_space.sample())
+        ended = terminated | truncated
+    actions = envs.action_space.sample()
+    actions[ended] = np.nan
+    assert np.isfinite(envs.step(actions)[0]).all()
+    with pytest.raises(ValueError, match="must be a finite number"):
+        envs.step(actions)
+    envs.close()
+
+
 def test_falling_ends_the_episode_and_info_says_so() -> None:
     """A random policy falls; the rewards add up to the distance."""
     env = make(reward_scale=1.0, drift_penalty=0.0)

@@ -130,20 +130,21 @@ class _Robots:
         """Take one step of 20 ms with every active robot, with (n, A) actions.
 
         Raises:
-            ValueError: if they are not as many finite numbers.
+            ValueError: if they are not as many numbers, or those of an active robot not finite.
             ResetNeeded: if a robot has not begun an episode.
         """
         values, shape = np.asarray(actions, dtype=np.float64), (len(self.seeded), *self.action_space.shape)
         if values.shape != shape:
             raise ValueError(f"actions: expected {shape[0]} x {shape[1]} numbers, got an array of shape {values.shape}")
-        for row, column in np.argwhere(~np.isfinite(values)).tolist():
+        taken = np.ones(len(values), dtype=np.bool_) if active is None else active
+        for row, column in np.argwhere(~np.isfinite(values) & taken[:, None]).tolist():
             name = self.environment.actuation.names[column]
             raise ValueError(f"actions: robot {row}, joint {name}: must be a finite number, not {values[row, column]}")
         if self.seeded.any():
             raise ResetNeeded("step: call reset first")
         self.environment.step(values, active)
         if self._poses:
-            self._watch(np.arange(len(values)) if active is None else np.flatnonzero(active))
+            self._watch(np.flatnonzero(taken))
 
     def _watch(self, rows: IntArray) -> None:
         """Keep the poses of these robots, which are drawn."""
