@@ -164,6 +164,16 @@ def test_a_mask_restarts_only_its_robots() -> None:
     envs.close()
 
 
+def test_the_seeds_that_were_drawn_begin_the_same_episodes() -> None:
+    envs = gymnasium.make_vec(SPRINT, num_envs=3, robot="nao-1", start_noise_deg=2.0)
+    first, _ = envs.reset()
+    seeds = envs.unwrapped.np_random_seed
+    assert len(set(seeds)) == len(envs.unwrapped.np_random) == 3
+    assert (envs.reset()[0] != first).any()
+    np.testing.assert_array_equal(envs.reset(seed=list(seeds))[0], first)
+    envs.close()
+
+
 def test_the_action_of_a_robot_that_waits_for_its_next_episode_may_be_anything() -> None:
     envs = gymnasium.make_vec(SPRINT, num_envs=2, robot="nao-1")
     envs.reset(seed=0)
@@ -214,6 +224,7 @@ def test_the_vector_environment_is_as_many_single_ones() -> None:
         assert ours[1] == theirs[1] == {}
         if seed is not None:
             np.testing.assert_array_equal(ours[0], theirs[0])
+        assert seed is None or together.np_random_seed == single.np_random_seed
     together.reset(seed=3)
     single.reset(seed=3)
     together.action_space.seed(0)

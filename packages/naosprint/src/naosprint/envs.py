@@ -270,13 +270,23 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
         self.single_action_space = self._robots.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._generators, self._seeds = map(list, zip(*(seeding.np_random() for _ in range(num_envs)), strict=True))
         self._ended: BoolArray = np.zeros(num_envs, dtype=np.bool_)
 
     @property
     def specification(self) -> TrainingSpec:
         """Task, robot and simulator with all their settings."""
         return self._robots.spec
+
+    @property  # type: ignore[misc] # Gymnasium's own vector environments do so, too
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """Generator of each robot."""
+        return tuple(self._generators)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Seeds of the generators, with which a reset begins the same episodes."""
+        return tuple(self._seeds)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -300,7 +310,7 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
             for row, one in enumerate(seeds):
                 if one is not None and chosen[row]:
                     self._robots.seeded[row] = True
-                    self._generators[row] = seeding.np_random(one)[0]
+                    self._generators[row], self._seeds[row] = seeding.np_random(one)
         self._robots.restart(np.flatnonzero(chosen), self._generators)
         self._ended &= ~chosen
         return self._robots.observations(), {}
