@@ -255,10 +255,11 @@ class RobotMotion:
         """Return it as float64.
 
         Raises:
-            ValueError: if an array is not of k robots with this number of joints, or not finite.
+            ValueError: if an array is not of k robots with this number of joints, or not finite, or a quaternion 0.
         """
         widths = {"torso_m": 3, "torso_wxyz": 4, "torso_mps": 3, "torso_rad_s": 3}
         names = [each.name for each in fields(self)]
+        turns("torso_wxyz", self.torso_wxyz, k)
         return RobotMotion(**{name: finite(name, getattr(self, name), (k, widths.get(name, joints))) for name in names})
 
 
@@ -289,6 +290,18 @@ def finite(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
     array: Floats = np.asarray(values, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers of shape {shape}, got shape {array.shape}")
+    return array
+
+
+def turns(name: str, quaternions: Floats, k: int) -> Floats:
+    """Return (k, 4) quaternions of any length as float64.
+
+    Raises:
+        ValueError: if they have another shape, are not finite, or one has no length.
+    """
+    array = finite(name, quaternions, (k, 4))
+    if not array.any(axis=1).all():
+        raise ValueError(f"{name}: a quaternion is 0, which is no orientation")
     return array
 
 

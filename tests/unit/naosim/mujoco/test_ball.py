@@ -165,8 +165,9 @@ def test_a_robot_begins_in_the_middle_of_another_ones_step(scene: Scene, engine:
         assert simulator.perceptors["joint_speeds"][1] == pytest.approx(
             simulator.perceptors["joint_speeds"][0], abs=0.05
         )
-        with pytest.raises(ValueError, match="torso_wxyz: expected finite numbers"):
-            simulator.set_motion(np.array([1]), replace(moving, torso_wxyz=np.full((1, 4), np.nan)))
+        for none, message in ((np.nan, "expected finite numbers"), (0.0, "a quaternion is 0")):
+            with pytest.raises(ValueError, match=f"torso_wxyz: {message}"):
+                simulator.set_motion(np.array([1]), replace(moving, torso_wxyz=np.full((1, 4), none)))
 
 
 def test_snapshots_contain_ball_and_contacts() -> None:

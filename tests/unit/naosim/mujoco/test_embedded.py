@@ -171,6 +171,20 @@ def test_robots_start_lying_where_the_caller_says() -> None:
     assert np.abs(speeds).max() < 60.0 and not simulator.lost.any()
 
 
+@pytest.mark.parametrize(
+    ("orientations", "message"),
+    [
+        (np.zeros((2, 4)), "orientations: a quaternion is 0"),
+        (np.full((2, 4), np.nan), "orientations: expected finite numbers of shape"),
+        (np.ones((3, 4)), r"orientations: .* shape \(2, 4\), got shape \(3, 4\)"),
+    ],
+)
+def test_orientations_that_are_none_are_refused(orientations: np.ndarray, message: str) -> None:
+    simulator = MujocoSimulator(T1, 1)
+    with pytest.raises(ValueError, match=message):
+        simulator.load_starts(Starts(np.repeat(T1.nominal[None], 2, axis=0), orientations=orientations))
+
+
 def test_a_pose_in_which_the_robot_falls_is_refused_with_its_remedy() -> None:
     simulator = MujocoSimulator(T1, 1)
     leaning = T1.nominal.copy()

@@ -11,7 +11,7 @@ from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import body_poses
 from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, world_of
-from naosim.simulator import PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves
+from naosim.simulator import PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves, turns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -120,7 +120,8 @@ class MujocoSimulator(Simulator):
         """Simulate the starts and keep the states of the settled robots.
 
         Raises:
-            ValueError: if poses are malformed, or a robot does not stand after settling although its start is upright.
+            ValueError: if poses or orientations are malformed, or a robot does not stand after settling although its
+                start is upright.
         """
         self.require_open()
         poses = np.asarray(starts.poses_rad, dtype=np.float64)
@@ -129,6 +130,8 @@ class MujocoSimulator(Simulator):
         places = starts.places()
         chunks = [slice(k, min(k + _SETTLED_TOGETHER, len(poses))) for k in range(0, len(poses), _SETTLED_TOGETHER)]
         orientations = starts.orientations
+        if orientations is not None:
+            orientations = turns("orientations", orientations, len(poses))
         self._starts = np.concatenate(
             [
                 self._settled(
