@@ -493,7 +493,7 @@ class Simulator(ABC):
         With one measurement a step, that is :meth:`airborne`.
         """
         off: Flags = np.asarray((self.foot_frames() < CONTACT_N).all(axis=2))
-        return np.asarray((off[:, :-1] & off[:, 1:]).any(axis=1) if off.shape[1] > 1 else off[:, 0])
+        return np.asarray((off[:, :-1] & off[:, 1:]).any(axis=1)) if off.shape[1] > 1 else self.airborne()
 
     def torques(self) -> Floats:
         """Return the (n, J) torques in N m that the motors demanded last; the motors limit them.

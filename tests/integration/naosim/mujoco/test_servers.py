@@ -186,7 +186,7 @@ def test_a_server_and_an_embedded_world_print_the_same_numbers(robot: Robot) -> 
             assert np.abs(server.truth.torso_rotation - embedded.truth.torso_rotation).max() < 0.03
             everyone = slice(0, 1)
             assert np.abs(server.torque_shares(everyone) - embedded.torque_shares(everyone)).max() < 0.02
-            assert not server.airborne().any()
+            assert not server.airborne().any() and not server.flight().any()
             server.step(targets)
             embedded.step(targets)
         assert np.abs(server.bodies()[..., :3] - embedded.bodies()[..., :3]).max() < 0.03

@@ -10,7 +10,7 @@ import pytest
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.robots import Robot
 from naosim.robots.booster import K1, T1
-from naosim.simulator import CONTACT_N, STEP_S
+from naosim.simulator import CONTACT_N, STEP_S, Simulator, Starts
 from naospec import EvaluationSpec, TrainingSpec
 from naosprint.tasks.commands import FIRST_RANGE, SETTLING_S
 from naosprint.tasks.environment import Environment
@@ -339,6 +339,30 @@ def test_a_mirrored_robot_with_a_mirrored_command_is_seen_and_rewarded_alike(rob
         np.testing.assert_allclose(seen[1], mirror.apply(seen[0]), atol=1e-6, err_msg=f"step {step}")
         assert environment.rewards[1] == pytest.approx(environment.rewards[0], abs=1e-6)
     assert environment.rewards[0] != 0.0 and abs(task._offset[0]) > 1e-3
+
+
+def test_flight_without_contacts_is_what_the_simulator_takes_for_it() -> None:
+    """As on servers, which report none, so that both feet always bear nothing."""
+
+    class Blind(MujocoSimulator):
+        foot_frames = Simulator.foot_frames
+
+        def foot_forces(self) -> np.ndarray:
+            return np.zeros((self.n, 2))
+
+        def airborne(self) -> np.ndarray:
+            return self.truth.torso_position[:, 0] > 0.5
+
+    parameters = VelocitySettings(name="velocity", flight_weight=1.0, forward_min_mps=1.5, stand_fraction=0.0)
+    environment = Environment(Blind(T1, 2), Velocity, Velocity.resolve(parameters, T1))
+    environment.load_starts(Starts(np.repeat(T1.nominal[None], 2, axis=0), np.array([[0.0, 0.0], [1.0, 0.0]])))
+    environment.step(np.zeros((2, environment.actuation.n_actions)))
+    assert environment.simulator.flight().tolist() == [False, True]
+    flight = Velocity.trace.index("flight")
+    assert environment.task.trace_row(np.arange(2))[:, flight].tolist() == [0.0, 1.0]
+    (term,) = (term for term in environment.task.reward_terms() if term.name == "flight")
+    assert term.compute(slice(0, 2)).tolist() == [0.0, 1.0]
+    environment.close()
 
 
 def episodes_of(velocity: np.ndarray, command: np.ndarray, *, fallen: list[bool], flight: np.ndarray) -> Episodes:

@@ -96,11 +96,15 @@ class World:
 
     @cached_property
     def flight(self) -> Number:
-        """1 for robots with both feet off the ground in two successive measurements of the step, for expressions."""
+        """1 for robots with both feet off the ground in two successive measurements of the step, for expressions.
+
+        It is ``Simulator.flight``.
+        """
         frames = source(self.simulator.foot_frames)
+        if frames.width == 2:
+            return source(self.simulator.airborne)
         off = [(frames[k] < CONTACT_N) & (frames[k + 1] < CONTACT_N) for k in range(0, frames.width, 2)]
-        pairs = [first & second for first, second in itertools.pairwise(off)] or off
-        return reduce(maximum, pairs)
+        return reduce(maximum, [first & second for first, second in itertools.pairwise(off)])
 
     @cached_property
     def torque_shares(self) -> Number:
