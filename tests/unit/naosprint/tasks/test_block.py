@@ -187,7 +187,10 @@ def test_settings_name_what_is_wrong() -> None:
     assert "shot_speed_min_mps: 5.0 is above shot_speed_max_mps, 4.0" in message(
         shot_speed_min_mps=5.0, shot_speed_max_mps=4.0
     )
-    unfit = "is no bundled policy of robot t1 with these ranges of actions, for a task in this world; use t1-dribble or"
+    unfit = (
+        "is no bundled policy of robot t1 with these ranges of actions and senses, for a task in this world; "
+        "use t1-dribble or"
+    )
     for name in ("k1-run", "t1-getup", "t2"):  # another robot, other ranges, unknown
         assert f"task.entry_policies: '{name}' {unfit}" in message(entry_policies=[name])
     assert "ball_near_m" in message(ball_near_m=0.5)  # of tasks that begin beside a ball

@@ -13,7 +13,7 @@ from naosim.robots.booster import K1, T1
 from naosim.simulator import CONTACT_N, STEP_S, Simulator, Starts
 from naospec import EvaluationSpec, TrainingSpec
 from naosprint.tasks.commands import FIRST_RANGE, SETTLING_S
-from naosprint.tasks.environment import Environment
+from naosprint.tasks.environment import Environment, open_environment
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.velocity import FLIGHT_SPEED_MPS, OFFSET_LIMIT_M, TRACKING_SCALE, Velocity, VelocitySettings
 from naosprint.tasks.velocity_results import applied
@@ -339,6 +339,20 @@ def test_a_mirrored_robot_with_a_mirrored_command_is_seen_and_rewarded_alike(rob
         np.testing.assert_allclose(seen[1], mirror.apply(seen[0]), atol=1e-6, err_msg=f"step {step}")
         assert environment.rewards[1] == pytest.approx(environment.rewards[0], abs=1e-6)
     assert environment.rewards[0] != 0.0 and abs(task._offset[0]) > 1e-3
+
+
+def test_a_robot_that_perceives_no_velocity_begins_with_policies_that_need_none() -> None:
+    def onboard(policy: str) -> TrainingSpec:
+        settings = {"name": "velocity", "entry_policies": [policy], "entry_fraction": 1.0, "handover_states": 8}
+        return TrainingSpec.model_validate({"robot": {"name": "t1", "onboard_sensing": True}, "task": settings})
+
+    with pytest.raises(ValidationError, match=r"task\.entry_policies: 't1-run' .* and senses, .* use t1-run-blind"):
+        onboard("t1-run")
+    environment = open_environment(onboard("t1-run-blind"), 4, threads=1)
+    environment.load_starts(environment.task.starts(2, 0, 0.0))
+    environment.restart(np.arange(4), np.zeros(4, dtype=np.int64))
+    assert (np.abs(environment.world.actions).max(axis=1) > 0.0).all()
+    environment.close()
 
 
 def test_flight_without_contacts_is_what_the_simulator_takes_for_it() -> None:

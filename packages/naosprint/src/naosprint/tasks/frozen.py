@@ -12,6 +12,7 @@ from naosim.robots.actuation import Actuation
 from naospec import TrainingSpec, plugins, read_stored
 
 from naosprint.tasks.base import get
+from naosprint.tasks.robot_defaults import robot_defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,8 +143,8 @@ def require_entries(names: Sequence[str], robot: Robot, scene: Scene) -> None:
     """Check that episodes can begin with states of bundled policies; no weights are read.
 
     Args:
-        names: names of the policies. Their tasks may need no more than the scene, and their actions have to stand for
-            the same angles.
+        names: names of the policies. Their tasks may need no more than the scene, their actions have to stand for the
+            same angles, and they may perceive no more than the robot that learns.
         robot: the robot that learns, with its settings.
         scene: contents of its world.
 
@@ -155,21 +156,27 @@ def require_entries(names: Sequence[str], robot: Robot, scene: Scene) -> None:
     fitting = [
         name
         for name, trained in bundled(robot.name).items()
-        if get(trained["name"]).scene in scene and _acts_as(name, robot)
+        if get(trained["name"]).scene in scene
+        and _acts_as(name, robot)
+        and set(robot_defaults(_moved_by(name, robot)).observations) <= set(robot_defaults(robot).observations)
     ]
     for name in names:
         if name not in fitting:
             raise ValueError(
                 f"task.entry_policies: {name!r} is no bundled policy of robot {robot.name} with these ranges of "
-                f"actions, for a task in this world; use {' or '.join(fitting) or 'another robot'}"
+                f"actions and senses, for a task in this world; use {' or '.join(fitting) or 'another robot'}"
             )
 
 
 def _acts_as(name: str, robot: Robot) -> bool:
     """Return whether the actions of a bundled policy stand for the same angles of a robot as of its own."""
-    spec = naopolicies.spec(name)
-    last = (spec.get("stages") or [{}])[-1]
-    settings = {**spec["robot"], **(last.get("robot") or {})}
-    own, other = Actuation(robot), Actuation(robots.get(robot.name).with_parameters(settings))
+    own, other = Actuation(robot), Actuation(_moved_by(name, robot))
     ends = np.array([-1.0, 1.0])[:, None] * np.ones(own.n_actions)
     return np.allclose(own.targets(ends)[:, own.index], other.targets(ends)[:, other.index])
+
+
+def _moved_by(name: str, robot: Robot) -> Robot:
+    """Return a robot with the settings of a bundled policy's training."""
+    spec = naopolicies.spec(name)
+    last = (spec.get("stages") or [{}])[-1]
+    return robots.get(robot.name).with_parameters({**spec["robot"], **(last.get("robot") or {})})

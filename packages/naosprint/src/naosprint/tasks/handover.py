@@ -73,7 +73,8 @@ class HandOver:
     Attributes:
         motion: poses, velocities and pending commands; the torsos face +x at the world's origin.
         actions: (k, A) latest actions.
-        velocity: (k, 3) perceived velocity in the torso's frame, which takes two perceptions.
+        velocity: (k, 3) perceived velocity in the torso's frame, which takes two perceptions; 0 for robots that do not
+            perceive it.
     """
 
     motion: RobotMotion
@@ -179,7 +180,8 @@ def record(
     else:
         starts = Starts(draw_start_poses(environment.actuation, 64, settings.start_noise_deg, seed))
     environment.load_starts(starts)
-    velocity = [environment.observer.names.index(f"velocity_{axis}") for axis in "xyz"]
+    names = environment.observer.names
+    velocity = [names.index(name) for name in (f"velocity_{axis}" for axis in "xyz") if name in names]
     found: dict[int, _State] = {}
     for first in range(0, runs, n):
         numbers = np.arange(first, min(first + n, runs))
@@ -201,7 +203,8 @@ def record(
             standing &= world.position(due)[:, 2] > _LEAST_HEIGHT * simulator.robot.standing_height_m
             due, which = due[standing], which[standing]
             if len(due):
-                motion, seen = simulator.motion(due), environment.observations[due][:, velocity]
+                motion, seen = simulator.motion(due), np.zeros((len(due), 3))
+                seen[:, : len(velocity)] = environment.observations[due][:, velocity]
                 for k, (row, moment) in enumerate(zip(due.tolist(), which.tolist(), strict=True)):
                     state = _chosen(motion, np.array([k])), world.actions[row].copy(), seen[k].copy()
                     found[int(numbers[row]) * STATES_PER_RUN + moment] = state
