@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from naosim import robots
@@ -41,6 +43,17 @@ def test_legs_that_move_alike_are_hopping_and_legs_in_turn_are_not(simulator: Si
     assert opposite == 0.0
     speeds *= 0.01
     assert term.value(slice(0, 1))[0] < 0.02  # a robot that hardly moves does not hop
+
+
+def test_joints_without_limits_of_torque_or_without_sides_are_no_reason_for_nan(simulator: Simulator) -> None:
+    robot = simulator.robot
+    simulator.robot = replace(robot, joints=tuple(replace(joint, max_torque=np.inf) for joint in robot.joints))
+    simulator.perceptors["joint_speeds"][:] = 300.0
+    assert np.isfinite(hopping(World(simulator), 1.0).value(slice(0, 2))).all()
+    middle = tuple(joint if joint.side == "centre" else replace(joint, actuated=False) for joint in robot.joints)
+    simulator.robot = replace(robot, joints=middle)
+    with pytest.raises(ValueError, match=r"task\.hop_penalty: robot t1 has no actuated joints on the left"):
+        hopping(World(simulator), 1.0)
 
 
 def test_the_reward_falls_by_the_penalty(simulator: Simulator) -> None:

@@ -62,17 +62,26 @@ def hopping(world: World, weight: float) -> RewardTerm:
     """Return the penalty for left and right joints that move alike.
 
     With l and r the speeds of a left joint and its mirror image, in mirrored directions, and sums over the pairs with
-    the motors' maximum torques as weights, it is sum(l r) / (sum(l^2 + r^2) / 2 + floor), or 0 where that is negative.
-    A policy that treats left and right alike, from a start that is nearly symmetric, can learn to hop on both feet; it
-    is then slower than one that steps.
+    the motors' maximum torques as weights, or equal ones if a motor has no maximum, it is
+    sum(l r) / (sum(l^2 + r^2) / 2 + floor), or 0 where that is negative. A policy that treats left and right alike,
+    from a start that is nearly symmetric, can learn to hop on both feet; it is then slower than one that steps.
+
+    Raises:
+        ValueError: if the robot has no actuated joints on the left and right.
     """
     joints = {joint.name: (number, joint) for number, joint in enumerate(world.robot.joints)}
     pairs = [
         (number, *joints[joint.mirror]) for number, joint in joints.values() if joint.actuated and joint.side == "left"
     ]
+    if not pairs:
+        raise ValueError(
+            f"task.hop_penalty: robot {world.robot.name} has no actuated joints on the left and right; set it to 0"
+        )
     left, right = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     signs = np.array([world.robot.joints[a].sign * other.sign for a, _, other in pairs])
     torques = np.array([other.max_torque for _, _, other in pairs])
+    if not np.isfinite(torques).all():
+        torques = np.ones(len(pairs))
     shares = torques / torques.sum()
     speeds = world.perceived("joint_speeds")
     a, b = speeds[left], speeds[right]
