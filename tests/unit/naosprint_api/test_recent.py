@@ -28,3 +28,16 @@ def test_a_value_is_looked_up_once_while_it_is_kept() -> None:
     recent.get("c")
     now += KEEP_S
     assert recent.find("c") is None
+
+
+def test_whether_a_key_had_a_value_is_known_for_longer_than_the_value_is_kept() -> None:
+    values, now = {"a": "A"}, 0.0
+    recent = Recent(values.get, most=2, clock=lambda: now)
+    assert not recent.found("a")
+    recent.get("a")
+    now += 1000 * KEEP_S
+    recent.forget()
+    assert recent.found("a")
+    del values["a"]
+    recent.get("a")
+    assert not recent.found("a"), "it has no value any more"

@@ -133,8 +133,7 @@ async def admit(request: Request, service: Service, *, public: bool = True) -> N
     """
     credentials = await _bearer(request)
     if credentials is None or (public and request.method not in BODY_METHODS):
-        _limit(service, f"address {_caller(request)}")
-        request.state.counted = True
+        count_address(request, service)
     if request.method in BODY_METHODS:
         request.state.principal = await _authenticate(request, service, credentials, to_thread.run_sync)
 
@@ -152,8 +151,7 @@ async def _authenticate(
     in_thread: Callable[[Callable[[], Principal | None]], Awaitable[Principal | None]],
 ) -> Principal:
     if credentials is None:
-        if not getattr(request.state, "counted", False):
-            _limit(service, f"address {_caller(request)}")
+        count_address(request, service)
         raise ProblemError(
             401,
             "this address needs a token; send the header `Authorization: Bearer <token>`",
@@ -161,19 +159,31 @@ async def _authenticate(
             {"WWW-Authenticate": "Bearer"},
         )
     secret = credentials.credentials
+    if not service.principals.found(secret):
+        # Before the look-up: guesses cost no more queries than the limit, and hold up no token that was valid before.
+        count_address(request, service)
     principal = service.principals.find(secret) or await in_thread(partial(service.principals.get, secret))
     if principal is None:
         _log.warning("refused an unknown token from %s", _caller(request))
         service.telemetry.refused.labels("token").inc()
-        _limit(service, f"address {_caller(request)}")
         raise ProblemError(
             401,
             "the token is unknown, expired or revoked; use another one",
             [FieldError(field="Authorization", message="unknown, expired or revoked token")],
             {"WWW-Authenticate": 'Bearer error="invalid_token"'},
         )
+    if getattr(request.state, "counted", False):
+        request.state.counted = False
+        service.limiter.put_back(f"address {_caller(request)}")
     _limit(service, principal.token_id)
     return principal
+
+
+def count_address(request: Request, service: Service) -> None:
+    """Count a request against the limit of its address, once. Raises ProblemError."""
+    if not getattr(request.state, "counted", False):
+        _limit(service, f"address {_caller(request)}")
+        request.state.counted = True
 
 
 def _limit(service: Service, caller: str) -> None:

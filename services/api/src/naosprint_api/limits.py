@@ -32,3 +32,10 @@ class RateLimiter:
             while len(self._buckets) > _MAX_CALLERS:
                 self._buckets.popitem(last=False)
         return wait
+
+    def put_back(self, caller: str) -> None:
+        """Return a token of `caller` that was taken: the request counts for another caller."""
+        with self._lock:
+            if caller in self._buckets:
+                left, since = self._buckets[caller]
+                self._buckets[caller] = (left + 1, since)

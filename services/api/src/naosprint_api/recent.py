@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
-from cachetools import TTLCache
+from cachetools import LRUCache, TTLCache
 
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
@@ -28,6 +28,7 @@ class Recent(Generic[Key, Value]):
     ) -> None:
         self._look_up = look_up
         self._values: TTLCache[Key, Value] = TTLCache(most, KEEP_S, timer=clock)
+        self._found: LRUCache[Key, bool] = LRUCache(most)
         self._lock = threading.Lock()
 
     def find(self, key: Key) -> Value | None:
@@ -35,12 +36,21 @@ class Recent(Generic[Key, Value]):
         with self._lock:
             return self._values.get(key)
 
+    def found(self, key: Key) -> bool:
+        """Return whether the last look-up of a key, which may be long ago, found a value."""
+        with self._lock:
+            return self._found.get(key, False)
+
     def get(self, key: Key) -> Value | None:
         """Return the value that is kept, else look it up."""
-        value = self.find(key)
-        if value is None and (value := self._look_up(key)) is not None:
-            with self._lock:
-                self._values[key] = value
+        if (value := self.find(key)) is not None:
+            return value
+        value = self._look_up(key)
+        with self._lock:
+            if value is None:
+                self._found.pop(key, None)
+            else:
+                self._values[key], self._found[key] = value, True
         return value
 
     def forget(self) -> None:

@@ -21,6 +21,7 @@ from naosprint_api.dependencies import (
     Reader,
     ServiceDep,
     authenticate,
+    count_address,
     require,
     service_of,
 )
@@ -81,6 +82,7 @@ async def readiness(service: ServiceDep, response: Response) -> Readiness:
 async def may_read_figures(request: Request, service: ServiceDep) -> None:
     """Allow access to the metrics: to everybody if the settings allow it, else to tokens with scope metrics."""
     if service.settings.api_metrics_public:
+        count_address(request, service)
         return
     scheme, _, secret = request.headers.get("authorization", "").partition(" ")
     known = HTTPAuthorizationCredentials(scheme=scheme, credentials=secret) if scheme.lower() == "bearer" else None
