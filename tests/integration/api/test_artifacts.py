@@ -57,6 +57,7 @@ def test_a_checkpoint_is_listed_and_downloaded_as_it_is(client: httpx.Client, le
         assert int(answer.headers["content-length"]) == file["size"]
         assert hashlib.sha256(answer.content).hexdigest() == file["sha256"]
         assert answer.headers["etag"] == f'"{file["sha256"]}"'
+        assert answer.headers["vary"] == "Authorization", "no other token gets it from a browser's cache"
         assert answer.headers["content-disposition"].startswith("attachment")
         assert answer.headers["x-content-type-options"] == "nosniff"
 

@@ -137,6 +137,7 @@ def test_a_report_opens_without_a_token_and_runs_nothing(
     page = httpx.get(client.base_url.join(url))
     assert (page.status_code, page.text) == (200, "<p>results</p>")
     assert page.headers["content-type"] == "text/html; charset=utf-8"
+    assert page.headers["cache-control"] == "no-store", "no copy outlives the address"
     policy = page.headers["content-security-policy"]
     assert policy.startswith("sandbox")
     assert "allow-scripts" not in policy

@@ -114,6 +114,7 @@ def send_file(
         "Cache-Control": "private, max-age=31536000, immutable",
         "Content-Disposition": f'attachment; filename="{entry.name.rsplit("/", 1)[-1]}"',
         "ETag": tag,
+        "Vary": "Authorization",  # what one token has fetched is in no cache for another
         "X-SHA256": entry.sha256,
     }
     if tag in request.headers.get("if-none-match", ""):

@@ -124,8 +124,7 @@ def get_policy_replay(
         request, service.store, service.store_threads, key, manifest, naopolicies.REPLAY, presigned=False
     )
     # Another evaluation, version or user may have another one at this address.
-    changing = {"Cache-Control": "private, no-cache", "Vary": "Authorization"}
-    answer.headers.update({"Content-Type": "application/json", **changing})
+    answer.headers.update({"Content-Type": "application/json", "Cache-Control": "private, no-cache"})
     return answer
 
 

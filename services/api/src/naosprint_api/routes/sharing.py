@@ -128,6 +128,7 @@ def show_report(
     answer = send_file(request, service.store, service.store_threads, key, manifest, REPORT, presigned=False)
     answer.headers["Content-Type"] = "text/html; charset=utf-8"
     answer.headers["Content-Disposition"] = "inline"
+    answer.headers["Cache-Control"] = "no-store"  # a copy would open for longer than the address is valid
     answer.headers["Content-Security-Policy"] = REPORT_POLICY
     answer.headers["X-Frame-Options"] = "SAMEORIGIN"
     return answer
