@@ -6,6 +6,8 @@ and an empty store of its own.
 
 from __future__ import annotations
 
+import contextlib
+import http.client
 import os
 import shutil
 import socket
@@ -19,6 +21,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from datetime import timedelta
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import httpx
@@ -179,6 +182,78 @@ def s3_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
     server = S3Server(tmp_path_factory.mktemp("s3"))
     yield server
     server.stop()
+
+
+class StoreProxy(ThreadingHTTPServer):
+    """A proxy before an S3 server that answers reads wrongly, or nothing at all, for a while.
+
+    The wrong answers are a page of errors with status 200, a body that is cut in half, and status 404.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, upstream: str) -> None:
+        super().__init__(("127.0.0.1", 0), _Passing)
+        self.upstream = httpx.URL(upstream)
+        self.wrong: list[str] = []
+        """Wrong answers that are still to be given."""
+        self.answers = threading.Event()
+        """Requests wait for it."""
+        self.answers.set()
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return f"http://127.0.0.1:{self.server_port}"
+
+
+class _Passing(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server: StoreProxy
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+    def pass_on(self) -> None:
+        self.server.answers.wait(60)
+        upstream = http.client.HTTPConnection(self.server.upstream.host, self.server.upstream.port or 80)
+        with contextlib.closing(upstream):
+            sent = self.rfile.read(int(self.headers.get("content-length", 0)))
+            upstream.request(self.command, self.path, sent, dict(self.headers))
+            answer = upstream.getresponse()
+            status, body = answer.status, answer.read()
+        length = int(answer.headers.get("content-length", len(body)))
+        if self.command == "GET" and "list-type" not in self.path and self.server.wrong:
+            match self.server.wrong.pop(0):
+                case "page":
+                    status, body = 200, b"<html>bad gateway</html>"
+                    length = len(body)
+                case "cut":
+                    body = body[: len(body) // 2]
+                case "missing":
+                    status, body, length = 404, b"", 0
+        self.send_response(status)
+        for name, value in answer.headers.items():
+            if name.lower() not in ("content-length", "connection", "date", "server", "transfer-encoding"):
+                self.send_header(name, value)
+        self.send_header("content-length", str(length))
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(body)
+        self.close_connection = length != len(body) and self.command != "HEAD"
+
+    do_GET = do_HEAD = do_PUT = do_POST = do_DELETE = pass_on
+
+
+@pytest.fixture
+def store_proxy(s3_server: S3Server) -> Iterator[StoreProxy]:
+    """A proxy before the S3 server."""
+    with StoreProxy(s3_server.environment["NAOSPRINT_S3_ENDPOINT"]) as proxy:
+        thread = threading.Thread(target=proxy.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield proxy
+        proxy.shutdown()
+        thread.join()
 
 
 @pytest.fixture(scope="module")

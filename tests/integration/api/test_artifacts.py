@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from http.client import HTTPConnection
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -18,13 +19,14 @@ from naojobs import leases, outcomes, records
 from naojobs.leases import Lease
 from naojobs.models import Evaluation
 from naojobs.states import WorkState
-from naojobs.store import ArtifactStore
+from naojobs.store import ArtifactStore, checkpoint_key
 from naospec import EvaluationSpec
 from naospec.metrics import Metric, Result
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
-from tests.integration.writes import append_metrics, request_evaluation
+from tests.integration.conftest import S3Server, StoreProxy
+from tests.integration.writes import append_metrics, record_checkpoint, request_evaluation
 
 CONTENT = {
     "checkpoint.json": b'{"format": 1}',
@@ -175,6 +177,34 @@ def test_an_archive_whose_files_are_gone_is_a_problem(
     answer = client.get(f"/checkpoints/{checkpoint}/archive")
     assert (answer.status_code, answer.headers["content-type"]) == (404, "application/problem+json")
     assert "no longer in the store" in answer.json()["detail"]
+
+
+def test_a_file_that_a_proxy_does_not_find_for_a_moment_is_not_gone(
+    start_api: Callable[..., Any],
+    make_token: Callable[..., str],
+    s3_server: S3Server,
+    store_proxy: StoreProxy,
+    sessions: sessionmaker[Session],
+    lease: Lease,
+    tmp_path: Path,
+) -> None:
+    environment = {**s3_server.environment, "NAOSPRINT_S3_ENDPOINT": store_proxy.url}
+    api = start_api(**{name.removeprefix("NAOSPRINT_").lower(): value for name, value in environment.items()})
+    store: ArtifactStore = api.server._service.store
+    (tmp_path / "a.json").write_bytes(b"content")
+    key = checkpoint_key(lease.job_id, 100, 1)
+    manifest = store.put_directory(key, tmp_path).model_dump()
+    checkpoint = record_checkpoint(sessions, lease, step=100, key=key, manifest=manifest)
+    headers = {"Authorization": f"Bearer {make_token('alice', 'read')}"}
+    with httpx.Client(base_url=f"{api.url}/checkpoints/{checkpoint}/", headers=headers, timeout=20) as client:
+        for path in ("files/a.json", "archive"):
+            store_proxy.wrong.append("missing")
+            answer = client.get(path)
+            assert (answer.status_code, answer.headers["content-type"]) == (503, "application/problem+json")
+            assert "retry-after" in answer.headers
+            assert client.get(path).status_code == 200
+        store.delete_prefix(key)
+        assert [client.get(path).status_code for path in ("files/a.json", "archive")] == [404, 404]
 
 
 def test_a_deletion_during_a_download_cuts_it_and_is_one_line_of_the_log(

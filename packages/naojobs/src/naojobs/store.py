@@ -352,6 +352,19 @@ class ArtifactStore:
             ]
         return sorted(found, key=lambda file: file.key)
 
+    def has(self, key: str) -> bool:
+        """Return whether a file is there.
+
+        Only a listing says so: a proxy may answer that there is no such file while the store behind it does not answer.
+
+        Raises:
+            StoreError: it is unknown.
+        """
+        try:
+            return key in self.list(artifact_of(key))
+        except MissingArtifactError as error:
+            raise StoreError(str(error)) from error
+
     def delete_prefix(self, prefix: str) -> int:
         """Delete all files below `prefix`; return how many. Raises StoreError."""
         keys = self.list(prefix)

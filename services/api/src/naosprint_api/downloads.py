@@ -14,7 +14,7 @@ from anyio import CapacityLimiter, to_thread
 from fastapi import Request
 from fastapi.responses import RedirectResponse, Response, StreamingResponse
 from naojobs.errors import NotFoundError
-from naojobs.store import ArtifactStore, ManifestEntry, StoreManifest
+from naojobs.store import ArtifactStore, ManifestEntry, MissingArtifactError, StoreError, StoreManifest
 from starlette.types import Receive, Scope, Send
 
 from naosprint_api.problems import FieldError, ProblemError
@@ -86,6 +86,16 @@ class StoredResponse(StreamingResponse):
         return await to_thread.run_sync(call, limiter=self._threads, abandon_on_cancel=True)
 
 
+def _stream(store: ArtifactStore, key: str, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
+    """Open a file as `ArtifactStore.stream` does; it is missing only if the store does not list it either."""
+    try:
+        return store.stream(key, start, stop)
+    except MissingArtifactError as error:
+        if store.has(key):
+            raise StoreError(f"{error}, but it is listed") from error
+        raise
+
+
 def send_file(
     request: Request,
     store: ArtifactStore,
@@ -124,11 +134,13 @@ def send_file(
         part = parse_range(asked, entry.size)
     if part is None:
         headers["Content-Length"] = str(entry.size)
-        return StoredResponse(partial(store.stream, target), threads, headers=headers, media_type=_BINARY)
+        return StoredResponse(partial(_stream, store, target), threads, headers=headers, media_type=_BINARY)
     start, stop = part
     headers["Content-Length"] = str(stop - start)
     headers["Content-Range"] = f"bytes {start}-{stop - 1}/{entry.size}"
-    return StoredResponse(partial(store.stream, target, start, stop), threads, 206, headers=headers, media_type=_BINARY)
+    return StoredResponse(
+        partial(_stream, store, target, start, stop), threads, 206, headers=headers, media_type=_BINARY
+    )
 
 
 def send_archive(
@@ -158,7 +170,7 @@ def _archive_size(manifest: StoreManifest, folder: str) -> int:
 
 def _archive(store: ArtifactStore, key: str, manifest: StoreManifest, folder: str, at: datetime) -> Iterator[bytes]:
     for entry in manifest.files:
-        content = store.stream(f"{key}/{entry.name}")
+        content = _stream(store, f"{key}/{entry.name}")
         yield _header(entry, folder, at)
         yield from content
         yield bytes(-entry.size % _BLOCK)
