@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 from naojobs import matches, outcomes
@@ -16,6 +17,7 @@ from naojobs.store import game_key, new_nonce
 from naojobs.teams import Film, upload_team
 from naosim.launchers import LABELS_VARIABLE
 from naosim.mujoco.program import PROGRAM_VARIABLE
+from naosprint.matches.game import GameSettings
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import log_name
 from naosprint_worker import match
@@ -125,6 +127,18 @@ def test_a_match_that_this_worker_cannot_play_is_tried_again(service: Service, m
     outcome = attempt(service, claim_match(service, submit_match(service)))
     assert (outcome.code, outcome.kind, outcome.traceback) == (TrainerExitCode.TRANSIENT, "system", "")
     assert "a process of this machine" in outcome.message
+
+
+def test_a_half_that_takes_all_of_its_time_is_not_played_again(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With three attempts of four hours for each half, one slow agent would keep a worker busy for days."""
+    monkeypatch.setattr(match, "GameSettings", partial(GameSettings, wall_s=0.0))
+    request = MatchRequest(("example", "example"), 1, 1, 10.0, film="off")
+    match_id = matches.submit_match(service.sessions, request, owner="tester")[0].id
+    outcome = attempt(service, claim_match(service, match_id))
+    assert (outcome.code, outcome.kind) == (TrainerExitCode.PERMANENT, "slow")
+    assert outcome.message.startswith("the half took more than 0 s of wall-clock time; use faster agents")
 
 
 def test_a_match_whose_worker_died_is_queued_again_by_its_own_process(service: Service) -> None:

@@ -22,7 +22,7 @@ from naojobs.states import WorkState
 from naojobs.store import StoreManifest, game_key, new_nonce
 from naojobs.teams import ARCHIVE, MatchTeam
 from naosprint.matches.film import film_name, goal_frames, write_game_film
-from naosprint.matches.game import GameSettings, MatchError, Moment, TeamFailedError
+from naosprint.matches.game import GameSettings, MatchError, Moment, TeamFailedError, TooSlowError
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import MatchStoppedError, log_name, play_match
 from naosprint.matches.results import match_results
@@ -46,6 +46,8 @@ def work(services: Services) -> Outcome:
         return Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
     except TeamFailedError as error:
         return Outcome(TrainerExitCode.PERMANENT, "team", str(error))
+    except TooSlowError as error:
+        return Outcome(TrainerExitCode.PERMANENT, "slow", str(error))
     except MatchError as error:
         return Outcome(TrainerExitCode.TRANSIENT, "system", str(error))
     return Outcome(TrainerExitCode.FINISHED, "finished", "the match finished")

@@ -57,6 +57,10 @@ class TeamFailedError(MatchError):
     """A team without a player on the field, with one that bypassed its endpoint, or whose containers do not start."""
 
 
+class TooSlowError(MatchError):
+    """A half that has taken all of its time; another attempt would take as long."""
+
+
 @dataclass(frozen=True)
 class GameSettings:
     """Settings of a game.
@@ -247,7 +251,10 @@ class _Half:
                 self._look(frame)
                 on_moment(self._moment(frame, recorder))
             if now > deadline:
-                raise MatchError(f"the half took more than {settings.wall_s:g} s of wall-clock time")
+                raise TooSlowError(
+                    f"the half took more than {settings.wall_s:,.0f} s of wall-clock time; use faster agents, fewer "
+                    "players or shorter halves"
+                )
         self._look(frame)
         return recorder
 
