@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from naospec.files import named_errors, partial_of, replacing, together, write_whole
+from naospec.files import drop, named_errors, partial_of, replacing, together, write_whole
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
@@ -69,10 +69,30 @@ def test_an_error_at_the_last_moment_leaves_all_files_as_they_were(tmp_path: Pat
     assert sorted(tmp_path.iterdir()) == [first, folder]
 
 
+def test_a_file_that_is_not_written_again_goes_with_those_from_before(tmp_path: Path) -> None:
+    first, second = tmp_path / "a", tmp_path / "b"
+    for path in (first, second):
+        write_whole(path, "before")
+    with pytest.raises(KeyError), together():
+        write_whole(first, "after")
+        drop(second)
+        raise KeyError
+    assert [path.read_text(encoding="utf-8") for path in (first, second)] == ["before", "before"]
+    with together():
+        write_whole(first, "after")
+        drop(second)
+        assert second.exists()
+    assert list(tmp_path.iterdir()) == [first]
+    with together():
+        drop(first)
+    drop(first)
+    assert list(tmp_path.iterdir()) == []
+
+
 WRITES = """
 import os, signal, sys
 from pathlib import Path
-from naospec.files import together, write_whole
+from naospec.files import drop, together, write_whole
 folder, content, action, left = Path(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4])
 def look(event, arguments):
     global left
@@ -84,8 +104,9 @@ sys.addaudithook(look)
 with together():
     for name in ("a", "b", "c"):
         write_whole(folder / name, content)
+    drop(folder / "d")
 """
-"""Writes three files, and is killed or waits before one of its renames."""
+"""Writes three files in the place of four, and is killed or waits before one of its renames."""
 
 
 def contents(folder: Path) -> set[str]:
@@ -97,7 +118,7 @@ def test_no_kill_leaves_files_of_two_calls_side_by_side(tmp_path: Path) -> None:
     killed = 0
     while True:
         with together():
-            for name in ("a", "b", "c"):
+            for name in ("a", "b", "c", "d"):
                 write_whole(tmp_path / name, "before")
         ended = subprocess.run([sys.executable, "-c", WRITES, str(tmp_path), "after", "kill", str(killed)], check=False)
         assert len(contents(tmp_path)) <= 1, f"killed before rename {killed + 1}"

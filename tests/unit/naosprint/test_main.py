@@ -151,6 +151,8 @@ def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.Cap
     assert names == ["replay.json", "replay.npz", "replay.mp4"]
     assert imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "replay.mp4"))[0] == 5
     assert json.loads((tmp_path / "replay.json").read_text())["frames"] > 50
+    assert main(["replay", "sprint", str(tmp_path), "--no-film"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["replay.json", "replay.npz"], "no film of another run"
 
 
 @pytest.mark.parametrize(

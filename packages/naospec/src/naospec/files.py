@@ -30,8 +30,10 @@ _PARTIAL = re.compile(r"\..+\.(\d+)-(\d+)-([0-9a-f]{8})-[0-9a-f]{8}\.partial")
 """Names of unfinished files and folders: what they become, the process that writes them, its host, and random
 digits.
 """
-_written: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("written", default=None)
-"""Files that are written together, each under the name of an unfinished file and the one that it gets."""
+_written: ContextVar[list[tuple[Path | None, Path]] | None] = ContextVar("written", default=None)
+"""Files that are written together, each under the name of an unfinished file and the one that it gets; none for one
+that is not written this time.
+"""
 
 
 def open_regular(path: Path) -> BufferedReader:
@@ -173,7 +175,7 @@ def together() -> Iterator[None]:
     if _written.get() is not None:
         yield
         return
-    written: list[tuple[Path, Path]] = []
+    written: list[tuple[Path | None, Path]] = []
     token = _written.set(written)
     try:
         try:
@@ -184,14 +186,15 @@ def together() -> Iterator[None]:
             _publish_all(written)
         else:
             for partial, path in written:
-                publish(partial, path)
+                drop(path) if partial is None else publish(partial, path)
     except BaseException:
         for partial, _ in written:
-            partial.unlink(missing_ok=True)
+            if partial is not None:
+                partial.unlink(missing_ok=True)
         raise
 
 
-def _publish_all(written: list[tuple[Path, Path]]) -> None:
+def _publish_all(written: list[tuple[Path | None, Path]]) -> None:
     """Move the files from before aside, then give the unfinished ones their names; undo all of it after an error."""
     folders = sorted({path.parent for _, path in written})
     before: list[tuple[Path, Path]] = []
@@ -210,8 +213,9 @@ def _publish_all(written: list[tuple[Path, Path]]) -> None:
             for folder in folders:
                 sync(folder)
             for partial, path in written:
-                partial.replace(path)
-                after.append(path)
+                if partial is not None:
+                    partial.replace(path)
+                    after.append(path)
             for folder in folders:
                 sync(folder)
         except BaseException:
@@ -245,6 +249,15 @@ def publish(partial: Path, path: Path) -> Path:
     partial.replace(path)
     sync(path.parent)
     return path
+
+
+def drop(path: Path) -> None:
+    """Delete a file from before, if there is one, within ``together`` when the new ones appear."""
+    written = _written.get()
+    if written is None:
+        path.unlink(missing_ok=True)
+    else:
+        written.append((None, path))
 
 
 def write_whole(path: Path, data: str | bytes, *, mode: int = 0o666) -> None:

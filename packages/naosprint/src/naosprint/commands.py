@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import naopolicies
 from naosim.simulator import STEP_S
 from naospec import EvaluationSpec, TrainingSpec, recipes
-from naospec.files import replacing, together, write_whole
+from naospec.files import drop, replacing, together, write_whole
 from naospec.flags import flag_name
 from naospec.flat import nest
 from naospec.job_files import JOB_FIELDS, load_job_file
@@ -232,6 +232,8 @@ def examine(options: argparse.Namespace) -> int:
             if found.ranges:
                 with rc_context(figures.style()), replacing(options.output / "robustness.svg") as file:
                     figures.robustness(found.ranges, found.most_failures).savefig(file, format="svg")
+            else:
+                drop(options.output / "robustness.svg")
     return 0
 
 
@@ -351,7 +353,9 @@ def replay(options: argparse.Namespace) -> int:
     recorded = evaluated(checkpoint, spec).replay
     with together():
         written = [*recorded.save(options.output)]
-        if not options.no_film:
+        if options.no_film:
+            drop(options.output / "replay.mp4")
+        else:
             written.append(options.output / "replay.mp4")
             count = len(recorded.positions)
             if options.film_seconds is not None:

@@ -96,6 +96,21 @@ def test_report_is_complete_and_self_contained(evaluation: Path, metrics: Path, 
     assert json.loads((out / "report.json").read_text())["evaluation"] == summary
 
 
+def test_a_report_has_nothing_of_the_one_before_in_its_folder(evaluation: Path, metrics: Path, tmp_path: Path) -> None:
+    out, fresh = tmp_path / "out", tmp_path / "fresh"
+    write_report(out, evaluation=evaluation, metrics=metrics)
+    (out / "notes.txt").touch()
+    names = {path.name for path in out.iterdir()}
+    for folder in (out, fresh):
+        write_report(folder, evaluation=evaluation, film=False)
+    left = {path.name for path in fresh.iterdir()}
+    assert names - left == {
+        *("run.mp4", "run.gif", "notes.txt"),
+        *(f"learning-curve.{kind}" for kind in ("csv", "png", "svg")),
+    }
+    assert {path.name for path in out.iterdir()} == left | {"notes.txt"}
+
+
 def test_same_input_gives_the_same_pictures(evaluation: Path, tmp_path: Path) -> None:
     """No dates and no random identifiers, so that a record can be compared with an older one."""
     for name in ("first", "second"):

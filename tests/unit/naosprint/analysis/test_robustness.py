@@ -54,6 +54,8 @@ def test_a_policy_is_examined_from_the_command_line(tmp_path: Path, capsys: pyte
     assert main(["examine", "sprint", "--only", "pushes,motion", *arguments[:4]]) == 0
     printed = capsys.readouterr().out
     assert "not possible in this simulator" in printed and "Largest joint speed" not in printed
+    assert main(["examine", "t1-sprint", "--only", "motion", *arguments]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["examination.json"], "the drawing showed other results"
 
 
 def test_a_running_robot_moves_faster_and_lands_harder_than_a_standing_one() -> None:

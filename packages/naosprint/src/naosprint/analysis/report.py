@@ -20,7 +20,7 @@ from naosim import robots
 from naosim.npz import read_npz
 from naosim.simulator import CONTACT_N, STEP_S
 from naospec import TrainingSpec, formats, validation_words
-from naospec.files import read_bounded, read_json, replacing, together, write_whole
+from naospec.files import drop, read_bounded, read_json, replacing, together, write_whole
 from naospec.json_text import json_text
 from naospec.metrics import Chart, for_family
 from naospec.sections import require_plain_names
@@ -58,6 +58,8 @@ _MAX_BYTES = 500_000_000
 _REWARD = Chart("Reward", ("reward",))
 
 _REQUIRED = ("training", "evaluation", "checkpoint", "task", "episodes", "results", "headline", "tables")
+_PLOTS = frozenset({"learning-curve", "trajectories", "frames", "gait", "joints"})
+"""Plots that not every report has."""
 _PATH_COLUMNS = ("x", "y", "height", "left_foot_force", "right_foot_force")
 
 
@@ -102,7 +104,8 @@ def write_report(
     """Write a report to ``directory`` and return the path of its page.
 
     Args:
-        directory: made if it is missing; files of the same names are replaced.
+        directory: made if it is missing; the files of a report from before are replaced, or deleted if this one lacks
+            them.
         evaluation: directory that :meth:`naosprint.analysis.evaluation.EvaluationRun.save` wrote.
         metrics: the training's ``metrics.jsonl``; without it there are no learning curves.
         title: headline of the page; the task's name if None.
@@ -121,12 +124,18 @@ def write_report(
     with mpl.rc_context(figures.style()):
         plots = _plots(summary, spec, paths, replay, rows)
         drawings = {plot.name: _save(plot.figure, directory / plot.name) for plot in plots}
+    for name in _PLOTS - drawings.keys():
+        drop(directory / f"{name}.png")
+        drop(directory / f"{name}.svg")
     _write_tables(directory, summary, paths, rows)
     steps = len(replay.positions)
     if film:
         begin = _window(steps, spec)[0]
         mp4 = write_mp4(replay, directory / "run.mp4", frames=film_frames(replay))
         write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_STEPS, steps)))
+    else:
+        drop(directory / "run.mp4")
+        drop(directory / "run.gif")
     document = {"format": REPORT_FORMAT, "title": title, "evaluation": summary}
     write_whole(directory / "report.json", json_text(document))
     environment = Environment(
@@ -313,6 +322,8 @@ def _write_tables(
     if rows:
         names = sorted({name for row in rows for name in row}, key=lambda name: (name != "step", name))
         write("learning-curve", names, [[row.get(name, "") for name in names] for row in rows])
+    else:
+        drop(directory / "learning-curve.csv")
     numbers = ("value", "sd", "low", "high", "count", "episodes")
 
     def cells(result: Mapping[str, Any]) -> list[Any]:
