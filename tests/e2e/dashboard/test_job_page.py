@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from naojobs.database import notify
-from naojobs.models import Log, MetricsRecord
+from naojobs.ids import new_id
+from naojobs.models import Checkpoint, Evaluation, Log, MetricsRecord
 
 if TYPE_CHECKING:
     import httpx
@@ -63,6 +64,21 @@ def test_a_link_shows_the_job_and_offers_no_change(
     browser.allowed.append("401")
     browser.open("/")
     browser.shows("no longer valid")
+
+
+def test_an_evaluation_that_waits_shows_the_present_reason(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, job_id: str
+) -> None:
+    key = f"jobs/{job_id}/checkpoints/000000000001-1"
+    with stack.sessions.begin() as session:
+        session.add(Checkpoint(id=new_id("ckpt"), job_id=job_id, attempt=1, step=1, key=key, manifest={"files": []}))
+    evaluation = client.post(f"/jobs/{job_id}/evaluations", json={}).raise_for_status().json()["id"]
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}/evaluation/{evaluation}")
+    browser.shows("no worker has simulator 'server'", ".card.empty")
+    with stack.sessions.begin() as session:
+        session.get_one(Evaluation, evaluation).simulator = "elsewhere"
+    browser.shows("no worker has simulator 'elsewhere'", ".card.empty")
 
 
 def test_curves_have_axes_a_choice_and_saved_views(

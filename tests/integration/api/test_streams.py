@@ -16,7 +16,8 @@ from typing import Any
 import httpx
 import psycopg
 import pytest
-from naojobs import outcomes, records
+from naojobs import outcomes, records, registry
+from naojobs.capabilities import Capabilities
 from naojobs.database import make_engine, make_sessions, notify
 from naojobs.leases import Lease
 from naojobs.models import Job
@@ -92,6 +93,22 @@ def test_a_follower_that_comes_back_misses_nothing_and_hears_nothing_twice(
     assert ids == sorted(set(ids))
     assert seen[-1].event == "end"
     assert seen[-1].data["error"] == "gone"
+
+
+def test_a_follower_is_told_when_a_job_waits_for_another_reason(
+    client: httpx.Client, sessions: Sessions, follow: Any, soon: Callable[..., bool]
+) -> None:
+    """Workers come and go without a change of the job."""
+    path = f"/jobs/{client.post('/jobs', json={}).json()['id']}"
+    with follow(client, f"{path}/stream", only="state") as messages:
+        assert next(messages).data["waiting_reason"] == "no worker is running"
+        none = Capabilities({}, [], [], [])
+        registry.beat(sessions, "idle", host="h", pid=1, capabilities=none, version="1")
+        assert soon(lambda: client.get(path).json()["waiting_reason"] == "no worker has simulator 'embedded'")
+        with sessions.begin() as session:
+            notify(session, path.rpartition("/")[2])  # else it looks by itself after some seconds
+        assert next(messages).data["waiting_reason"] == "no worker has simulator 'embedded'"
+    registry.leave(sessions, "idle")
 
 
 def test_a_follower_may_start_behind_what_it_has_fetched(

@@ -7,7 +7,6 @@ import itertools
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from functools import partial
 from typing import Any, TypeAlias, TypeVar
 from weakref import WeakValueDictionary
@@ -47,9 +46,10 @@ class FeedBatch:
     """Whether there is more than fits into one batch."""
     state: WorkState | None = None
     error: str | None = None
-    updated_at: datetime | None = None
+    shown: str = ""
+    """The job itself, as JSON: why it waits changes with the workers, without a change of its row."""
     job: bytes = b""
-    """The job itself, as an event."""
+    """The same as an event."""
 
 
 class Feed:
@@ -115,4 +115,4 @@ class Feed:
         job = news.job
         shown = job_view(job, news.waiting_reason, news.result).model_dump_json()
         state = format_sse_event(event="state", data_str=shown, id=str(seen))
-        return FeedBatch(b"".join(events), seen, news.more, job.state, job.error, job.updated_at, state)
+        return FeedBatch(b"".join(events), seen, news.more, job.state, job.error, shown, state)

@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
-from datetime import datetime
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -231,7 +230,7 @@ async def stream_job(
 async def _news_of_one(
     service: Service, allowed: Pass, job: Job, seen: Position, kinds: frozenset[str]
 ) -> AsyncIterator[bytes]:
-    told: datetime | None = None
+    told = ""
     behind = True
     with _follower(service), service.broadcaster.subscribe(job.id) as subscription:
         while await allowed.valid():
@@ -244,9 +243,9 @@ async def _news_of_one(
                 yield batch.news
                 continue
             news = batch.news
-            if "state" in kinds and batch.updated_at != told:
+            if "state" in kinds and batch.shown != told:
                 news += batch.job
-            told = batch.updated_at
+            told = batch.shown
             if batch.state in ENDED:
                 yield news + _message("end", {"state": batch.state, "error": batch.error}, str(seen))
                 return

@@ -76,7 +76,8 @@ export class EvaluationTab {
       return;
     }
     const chosen = evaluations.find((e) => e.id === this.wanted) ?? representative(evaluations) ?? evaluations[0];
-    const key = JSON.stringify([evaluations.map((e) => [e.id, e.state]), chosen.id, Boolean(checkpoints?.length)]);
+    const shown = JSON.stringify([chosen.id, chosen.state, chosen.waiting_reason]);
+    const key = JSON.stringify([evaluations.map((e) => [e.id, e.state]), shown, Boolean(checkpoints?.length)]);
     if (key === this.key) return;
     this.key = key;
     const steps = new Map((checkpoints ?? []).map((c) => [c.id, c.step]));
@@ -122,7 +123,6 @@ export class EvaluationTab {
       again,
     );
     // The evaluation in view is not redrawn when others change.
-    const shown = `${chosen.id} ${chosen.state}`;
     if (shown === this.shown) return;
     this.shown = shown;
     this.clear();
