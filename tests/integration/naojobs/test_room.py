@@ -14,7 +14,7 @@ from naojobs import leases, outcomes, preemption, registry, submission
 from naojobs.capabilities import MATCH_QUEUE, MATCH_VERSION, Capabilities, match_task
 from naojobs.leases import Lease
 from naojobs.matches import ROBOT, MatchRequest, submit_match
-from naojobs.models import Job, Match
+from naojobs.models import Event, Job, Match
 from naojobs.states import WorkState
 from naojobs.submission import JobRequest
 from sqlalchemy import delete, select, text, update
@@ -45,8 +45,8 @@ def worker(sessions: Sessions) -> Iterator[str]:
     registry.leave(sessions, "w")
 
 
-def submit(sessions: Sessions, priority: int) -> str:
-    return submission.submit(sessions, JobRequest(priority=priority), owner="alice")[0].id
+def submit(sessions: Sessions, priority: int, owner: str = "alice") -> str:
+    return submission.submit(sessions, JobRequest(priority=priority), owner=owner)[0].id
 
 
 def play(sessions: Sessions, priority: int) -> str:
@@ -169,3 +169,14 @@ def test_a_drain_finds_what_was_being_claimed(sessions: Sessions, worker: str, m
     with sessions() as session:
         assert session.get_one(Job, job_id).yields_to == (worker if claim is not None else None)
     assert claim is not None and leases.read_requests(sessions, claim.lease).requeue
+
+
+@pytest.mark.parametrize("owner", ["alice", "bob"])
+def test_the_history_of_a_training_names_no_work_of_another_owner(sessions: Sessions, worker: str, owner: str) -> None:
+    training, urgent = train(sessions, worker), submit(sessions, 9, owner)
+    assert make_room(sessions, worker) == (training.id, urgent)
+    with sessions() as session:
+        asked = select(Event).where(Event.job_id == training.id, Event.kind == "requeue_requested")
+        event = session.scalars(asked).one()
+    assert event.data == ({"for": urgent} if owner == "alice" else {})
+    assert urgent not in event.message

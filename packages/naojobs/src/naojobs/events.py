@@ -51,7 +51,9 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         "pause_requested": EventKind("A user requested a pause; the worker saves a checkpoint and stops."),
         "priority": EventKind("A user changed the job's priority.", ("priority",)),
         "requeue_requested": EventKind(
-            "The worker saves a checkpoint and requeues the job: urgent work waits, or the worker is drained.", ("for",)
+            "The worker saves a checkpoint and requeues the job: urgent work waits, or the worker is drained. `for` is "
+            "the id of urgent work of the same owner, and is left out otherwise.",
+            ("for",),
         ),
         "software_changed": EventKind(
             "This attempt runs with other versions of packages than the one before.", ("before",)

@@ -15,7 +15,7 @@ from naojobs.capabilities import Capabilities
 from naojobs.changes import add_event
 from naojobs.database import Sessions
 from naojobs.leases import waiting
-from naojobs.models import AnyWork, Job, Match, Worker
+from naojobs.models import Job, Match, Worker
 from naojobs.states import WorkState
 
 YIELDING = (
@@ -57,11 +57,12 @@ def make_room(
             return None
         job.yields_to = urgent.id
         message = f"asked the worker to requeue it: a {urgent.kind} of priority {urgent.priority} waits"
-        add_event(session, job, "requeue_requested", message, {"for": urgent.id})
+        shown = {"for": urgent.id} if urgent.owner == job.owner else {}  # users see no work of others
+        add_event(session, job, "requeue_requested", message, shown)
         return job.id, urgent.id
 
 
-def _urgent(session: Session, capabilities: Capabilities, priority: int, after_s: float) -> Iterator[AnyWork]:
+def _urgent(session: Session, capabilities: Capabilities, priority: int, after_s: float) -> Iterator[Job | Match]:
     """Yield the first job and the first match of this priority or a higher one that no training makes room for."""
     yielding = aliased(Job)
     for model in (Job, Match):
