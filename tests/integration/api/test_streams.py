@@ -464,3 +464,34 @@ def test_places_are_taken_before_they_are_used_and_an_owner_has_some_of_them(
         assert (came.count(200), came.count(503)) == (5, 11)
         of_owner = [sum(status == 200 for status in came[first::2]) for first in (0, 1)]
         assert max(of_owner) == 3
+
+
+def test_links_to_jobs_leave_streams_to_their_owner(
+    start_api: Callable[..., Any], make_token: Callable[..., str], run_job: Callable[..., Lease], follow: Any
+) -> None:
+    """Who has a link may open many streams with it, or with several; the owner can follow the job all the same."""
+    job = f"/jobs/{run_job('host').job_id}"
+    url = start_api(api_max_followers_per_owner=5).url
+    open_streams = []  # an iterator that is dropped closes the connection
+    with ExitStack() as stack:
+
+        def come(client: httpx.Client) -> None:
+            open_streams.append(stack.enter_context(follow(client, f"{job}/stream")))
+            next(open_streams[-1])
+
+        def refused(client: httpx.Client) -> bool:
+            with client.stream("GET", f"{job}/stream") as response:
+                return response.status_code == 503
+
+        def guest(secret: str) -> httpx.Client:
+            headers = {"Authorization": f"Bearer {secret}"}
+            return stack.enter_context(httpx.Client(base_url=url, headers=headers, timeout=20))
+
+        host = guest(make_token("host", "submit"))
+        guests = [guest(host.post(f"{job}/share").raise_for_status().json()["token"]) for _ in range(3)]
+        for client in guests:
+            come(client)
+        assert all(map(refused, guests))
+        for _ in range(2):
+            come(host)
+        assert refused(host)

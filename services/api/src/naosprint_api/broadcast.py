@@ -52,8 +52,8 @@ class Broadcaster:
     def __init__(self, url: str) -> None:
         self._url = url
         self._subscriptions: dict[Subscription, str | None] = {}
-        self._places: Counter[str] = Counter()
-        """Places taken by each owner, whose tokens may be many."""
+        self._places: Counter[tuple[str, bool]] = Counter()
+        """Places taken by each owner's tokens, which may be many, and by links to the owner's jobs."""
         self._task: asyncio.Task[None] | None = None
         self._listening = False
         self.closing = False
@@ -81,14 +81,19 @@ class Broadcaster:
         return len(self._subscriptions)
 
     @contextmanager
-    def place(self, owner: str, *, most: int, most_of_owner: int) -> Iterator[bool]:
-        """Take a place for a stream; yield whether there was one."""
-        free = self._places.total() < most and self._places[owner] < most_of_owner and not self.closing
-        self._places[owner] += free
+    def place(self, owner: str, *, link: bool, most: int, most_of_owner: int) -> Iterator[bool]:
+        """Take a place for a stream; yield whether there was one.
+
+        Links to an owner's jobs may be in many hands: together they get half of the owner's places, rounded up.
+        """
+        taken, key = self._places[owner, False] + self._places[owner, True], (owner, link)
+        free = self._places.total() < most and taken < most_of_owner and not self.closing
+        free = free and not (link and 2 * self._places[key] >= most_of_owner)
+        self._places[key] += free
         try:
             yield free
         finally:
-            self._places[owner] -= free
+            self._places[key] -= free
             self._places += Counter()  # forget owners without a place
 
     @contextmanager

@@ -46,7 +46,11 @@ class ApiSettings(ServiceSettings):
     )
     api_max_policy_versions: int = Field(1000, ge=1, description="Versions of registered policies of one owner.")
     api_max_followers: int = Field(500, ge=1, description="Streams that may be open at a time.")
-    api_max_followers_per_owner: int = Field(100, ge=1, description="Streams that one owner may have open at a time.")
+    api_max_followers_per_owner: int = Field(
+        100,
+        ge=1,
+        description="Streams that one owner may have open at a time; links to the owner's jobs get half of them.",
+    )
     api_recheck_s: float = Field(
         30.0,
         gt=0,

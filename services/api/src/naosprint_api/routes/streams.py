@@ -94,7 +94,10 @@ async def place(principal: Follower, service: ServiceDep) -> AsyncIterator[Pass]
     """Take a place for a stream until it has ended; refuse a follower when there are too many."""
     settings = service.settings
     with service.broadcaster.place(
-        principal.owner, most=settings.api_max_followers, most_of_owner=settings.api_max_followers_per_owner
+        principal.owner,
+        link=principal.job_id is not None,
+        most=settings.api_max_followers,
+        most_of_owner=settings.api_max_followers_per_owner,
     ) as free:
         if not free:
             service.telemetry.refused.labels("followers").inc()
