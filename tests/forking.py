@@ -39,6 +39,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -331,6 +332,8 @@ def _umask() -> int:
 def serve(control: socket.socket) -> dict[str, Any] | None:
     """Fork a program for each request; return the request in the fork, and None once the other end has closed."""
     gc.freeze()  # the collector would write to all pages, which then are shared no longer
+    for finalizer in list(weakref.finalize._registry):  # type: ignore[attr-defined]
+        finalizer.atexit = False  # PyTorch's remove thousands of operators
     while True:
         message, received, _, _ = socket.recv_fds(control, 1 << 20, 64)
         if not message:
