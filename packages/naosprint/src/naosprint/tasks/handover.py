@@ -179,7 +179,7 @@ def record(
         starts = environment.task.starts(64, seed, settings.start_noise_deg)
     else:
         starts = Starts(draw_start_poses(environment.actuation, 64, settings.start_noise_deg, seed))
-    environment.load_starts(starts)
+    environment.load_starts(_first(starts, max(n, runs)))  # robots settle in each, also in those of no run
     names = environment.observer.names
     velocity = [names.index(name) for name in (f"velocity_{axis}" for axis in "xyz") if name in names]
     found: dict[int, _State] = {}
@@ -276,6 +276,14 @@ def _moments(numbers: IntArray, seed: int) -> IntArray:
 def _together(motions: Sequence[RobotMotion]) -> RobotMotion:
     return RobotMotion(
         **{each.name: np.concatenate([getattr(motion, each.name) for motion in motions]) for each in fields(motions[0])}
+    )
+
+
+def _first(starts: Starts, count: int) -> Starts:
+    """Return the first ``count`` starts."""
+    places, turned = starts.places()[:count], starts.orientations
+    return Starts(
+        starts.poses_rad[:count], places[:, :2], places[:, 2], orientations=None if turned is None else turned[:count]
     )
 
 
