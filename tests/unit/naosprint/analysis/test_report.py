@@ -211,8 +211,12 @@ def test_robot_stands_on_the_ground_seen_from_the_side(evaluation: Path) -> None
 def test_stride_reaches_from_touchdown_to_touchdown() -> None:
     """The stride is of the requested foot, after the requested time."""
     force = np.where(np.arange(200) % 20 < 8, 40.0, 0.0)
-    assert figures.stride(force, 50, 4) == [60, 65, 70, 75]
-    assert figures.stride(np.zeros(200), 50, 5) == [50, 55, 60, 65, 70]
+    other = np.roll(force, 10)
+    assert figures.stride(force, other, 50, 4) == [60, 65, 70, 75]
+    assert figures.stride(np.zeros(200), np.zeros(200), 50, 5) == [50, 55, 60, 65, 70]
+    force[63] = 0.0  # it bounces
+    assert figures.stride(force, other, 50, 4) == [60, 65, 70, 75]
+    assert figures.stride(force, other, 50, 30) == list(range(60, 80)), "a step is drawn twice"
 
 
 def test_plots_leave_out_what_no_episode_supports() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from naosprint.analysis.replay import Replay
     from naosprint.analysis.robustness import Range
-    from naosprint.arrays import BoolArray, FloatArray
+    from naosprint.arrays import BoolArray, FloatArray, IntArray
 
 MAX_CHARTS = 4
 """Most charts of learning curves in one figure."""
@@ -261,7 +260,10 @@ def joint_angles(angles_rad: FloatArray, robot: Robot, first: int) -> Figure:
 def frame_strip(replay: Replay, frames: Sequence[int]) -> Figure:
     """Draw the robot of some steps side by side, with the time below each."""
     size = scale(replay)
-    pitch, bottom, top = 0.44 * size, -0.15 * size, 0.62 * size
+    # as far apart that the widest of them does not touch its neighbours
+    drawn = [robot_collection(replay, frame, Camera()) for frame in frames]
+    reach = max(np.abs(np.asarray(path.vertices)[:, 0]).max() for robot in drawn for path in robot.get_paths())
+    pitch, bottom, top = max(0.44 * size, 2.0 * reach), -0.15 * size, 0.62 * size
     figure = Figure(figsize=(9.0, 9.0 * (top - bottom) / (pitch * len(frames))))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     for place, frame in enumerate(frames):
@@ -275,26 +277,33 @@ def frame_strip(replay: Replay, frames: Sequence[int]) -> Figure:
     return figure
 
 
-def stride(left_n: FloatArray, first: int, count: int) -> list[int]:
-    """Choose ``count`` evenly spaced steps of one stride of the left foot that begins after step ``first``.
+def stride(left_n: FloatArray, right_n: FloatArray, first: int, count: int) -> list[int]:
+    """Choose evenly spaced steps of one stride of the left foot that begins after step ``first``.
 
     Args:
         left_n: (T,) force on the left foot.
+        right_n: (T,) force on the right foot.
         first: where to start looking.
-        count: number of steps to choose.
+        count: most steps to choose; a shorter stride has each of its steps once.
 
     Returns:
-        Steps from one touchdown up to the next; of the 25 after ``first`` where there is no such stride.
+        Steps from one touchdown up to the next, with one of the right foot between them, so that a foot which only
+        bounces begins no stride; of the 25 after ``first`` where there is no such stride.
     """
-    loaded = np.abs(left_n) > CONTACT_N
-    touchdowns = np.flatnonzero(loaded[1:] & ~loaded[:-1]) + 1
-    later = touchdowns[touchdowns >= first]
+    left, right = (_touchdowns(force[first:]) + first for force in (left_n, right_n))
     begin, end = first, min(first + 25, len(left_n) - 1)
-    for a, b in pairwise(later.tolist()):
-        if b - a >= count // 2:
-            begin, end = a, b
-            break
-    return [round(frame) for frame in np.linspace(begin, end, count, endpoint=False)]
+    if len(left):
+        between = right[right > left[0]]
+        after = left[left > between[0]] if len(between) else between
+        if len(after):
+            begin, end = int(left[0]), int(after[0])
+    return [round(step) for step in np.linspace(begin, end, min(count, max(1, end - begin)), endpoint=False)]
+
+
+def _touchdowns(force_n: FloatArray) -> IntArray:
+    """Return the steps in which a foot without load in the step before has one."""
+    loaded = np.abs(force_n) > CONTACT_N
+    return np.flatnonzero(loaded[1:] & ~loaded[:-1]) + 1
 
 
 def factor(metric: Metric) -> float:

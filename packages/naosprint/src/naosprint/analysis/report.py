@@ -263,7 +263,7 @@ def _plots(
     begin, end = _window(len(replay.positions), spec)
     left, right = replay.foot_forces[:, 0].astype(np.float64), replay.foot_forces[:, 1].astype(np.float64)
     if replay.robot.shapes and presentation.repeats:
-        figure = figures.frame_strip(replay, figures.stride(left, begin, 8))
+        figure = figures.frame_strip(replay, figures.stride(left, right, begin, 8))
         caption = "From one touchdown of the left foot to the next. Blue: left, orange: right."
         found.append(_Plot("frames", "One stride", caption, figure))
     elif replay.robot.shapes:
