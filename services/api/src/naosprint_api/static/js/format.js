@@ -42,7 +42,9 @@ export const fixed = (v, digits = 2) =>
         .replace(/^-(?=0(\.0*)?$)/, "")
         .replace("-", "−");
 
-/** Significant digits, or all of a whole part that has more; scientific when tiny or huge, whole numbers from 1e9 on. */
+/**
+ * Significant digits, or all of a whole part that has more; scientific when tiny or huge, whole numbers from 1e9 on.
+ */
 export function significant(v, digits = 3) {
   if (missing(v)) return NONE;
   const a = Math.abs(v);
