@@ -57,7 +57,7 @@ def test_flags_override_a_recipe(name: str) -> None:
 
 def test_what_is_given_to_start_from_replaces_what_the_recipe_starts_from() -> None:
     policy = make_job(None, "t1-sprint-robust", {}, {}, start="t1-sprint", parent_policy="t1-sprint")
-    assert (policy["parent_policy"], len(policy["spec"]["stages"])) == ("t1-sprint", 5)
+    assert (policy["parent_policy"], len(policy["spec"]["stages"])) == ("t1-sprint", 7)
     assert make_job(None, "t1-kick", {}, {})["parent_policy"] == "t1-run"
     # the service refuses a parent job and a parent policy together
     assert "parent_policy" not in make_job(None, "t1-kick", {}, {}, start="job walker")

@@ -68,11 +68,11 @@ def test_a_policy_replaces_the_stages_of_its_recipe() -> None:
     def stages(name: str, start: str | None = None) -> int:
         return len(recipes.job(name, start)["spec"]["stages"])
 
-    assert stages("t1-sprint-robust", "t1-sprint") == stages("t1-sprint-robust") - stages("t1-sprint") == 5
+    assert stages("t1-sprint-robust", "t1-sprint") == stages("t1-sprint-robust") - stages("t1-sprint") == 7
     assert stages("t1-run-wide", "t1-run") == stages("t1-run-wide") - stages("t1-run")
     assert stages("t1-run-wide", "t1-run-robust") == stages("t1-run-wide", "own") < stages("t1-run-wide", "t1-run")
     assert stages("t1-sprint", "t1-run") == stages("t1-sprint")
-    sentence = "--recipe t1-sprint-robust: the last 5 of its 12 stages, after t1-sprint"
+    sentence = "--recipe t1-sprint-robust: the last 7 of its 14 stages, after t1-sprint"
     assert recipes.shortened("t1-sprint-robust", "t1-sprint") == sentence
 
 
