@@ -271,7 +271,7 @@ class Browser:
         return outcome.get("value")
 
     def hold(self, pattern: str, what: str = "answer") -> None:
-        """Hold GET requests whose address fits a pattern, or their answers, until the page calls `release`."""
+        """Hold back GET requests to matching addresses, or the answers to them, until the page calls `release`."""
         self.js(
             """
             const [pattern, what] = [new RegExp(arguments[0]), arguments[1]];

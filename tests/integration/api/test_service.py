@@ -311,7 +311,7 @@ def looked_up(api: Any) -> Iterator[list[str]]:
 def test_guessed_tokens_are_refused_before_they_are_looked_up(
     start_api: Callable[..., Any], make_token: Callable[..., str], method: str
 ) -> None:
-    """A valid token that is used at the same address goes on working, and does not count for the address."""
+    """A valid token still works from the same address, and its requests do not count against the address."""
     api = start_api(api_rate_per_s=0.01, api_rate_burst=6)
     headers = {"Authorization": f"Bearer {make_token('guessed', 'read')}"}
     with httpx.Client(base_url=api.url, timeout=20) as client:

@@ -259,7 +259,7 @@ class RobotMotion:
         """
         widths = {"torso_m": 3, "torso_wxyz": 4, "torso_mps": 3, "torso_rad_s": 3}
         names = [each.name for each in fields(self)]
-        turns("torso_wxyz", self.torso_wxyz, k)
+        finite_quaternions("torso_wxyz", self.torso_wxyz, k)
         return RobotMotion(**{name: finite(name, getattr(self, name), (k, widths.get(name, joints))) for name in names})
 
 
@@ -293,13 +293,13 @@ def finite(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
     return array
 
 
-def turns(name: str, quaternions: Floats, k: int) -> Floats:
+def finite_quaternions(name: str, values: Floats, k: int) -> Floats:
     """Return (k, 4) quaternions of any length as float64.
 
     Raises:
         ValueError: if they have another shape, are not finite, or one has no length.
     """
-    array = finite(name, quaternions, (k, 4))
+    array = finite(name, values, (k, 4))
     if not array.any(axis=1).all():
         raise ValueError(f"{name}: a quaternion is 0, which is no orientation")
     return array

@@ -11,7 +11,7 @@ from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import body_poses
 from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, world_of
-from naosim.simulator import PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves, turns
+from naosim.simulator import PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, finite_quaternions, halves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -131,7 +131,7 @@ class MujocoSimulator(Simulator):
         chunks = [slice(k, min(k + _SETTLED_TOGETHER, len(poses))) for k in range(0, len(poses), _SETTLED_TOGETHER)]
         orientations = starts.orientations
         if orientations is not None:
-            orientations = turns("orientations", orientations, len(poses))
+            orientations = finite_quaternions("orientations", orientations, len(poses))
         self._starts = np.concatenate(
             [
                 self._settled(

@@ -260,7 +260,7 @@ def joint_angles(angles_rad: FloatArray, robot: Robot, first: int) -> Figure:
 def frame_strip(replay: Replay, frames: Sequence[int]) -> Figure:
     """Draw the robot of some steps side by side, with the time below each."""
     size = scale(replay)
-    # as far apart that the widest of them does not touch its neighbours
+    # far enough apart that the widest of them touches no other
     drawn = [robot_collection(replay, frame, Camera()) for frame in frames]
     reach = max(np.abs(np.asarray(path.vertices)[:, 0]).max() for robot in drawn for path in robot.get_paths())
     pitch, bottom, top = max(0.44 * size, 2.0 * reach), -0.15 * size, 0.62 * size

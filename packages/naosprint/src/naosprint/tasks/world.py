@@ -98,7 +98,7 @@ class World:
     def flight(self) -> Number:
         """1 for robots with both feet off the ground in two successive measurements of the step, for expressions.
 
-        It is ``Simulator.flight``.
+        The same as ``Simulator.flight``.
         """
         frames = source(self.simulator.foot_frames)
         if frames.width == 2:
