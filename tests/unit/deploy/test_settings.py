@@ -66,3 +66,16 @@ def test_new_env_fills_in_secrets_of_its_own_and_keeps_a_file_that_is_there(tmp_
     again = subprocess.run([ROOT / "deploy" / "new-env", made[0]], capture_output=True, text=True, timeout=20)
     assert again.returncode == 1 and "exists already" in again.stderr
     assert made[0].read_text() == before
+
+
+def test_new_env_adds_the_secrets_that_a_file_lacks_and_changes_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.env"
+    path.write_text("POSTGRES_PASSWORD=\nWORKERS=2\nS3_ACCESS_KEY_ID=mine")  # an empty one, a last line without its end
+    subprocess.run([ROOT / "deploy" / "new-env", "--add", path], check=True, timeout=20)
+    lines = path.read_text().splitlines()
+    assert lines[1:3] == ["WORKERS=2", "S3_ACCESS_KEY_ID=mine"]
+    added = dict(line.split("=") for line in lines[3:])
+    assert added.keys() == {name for name, (comment, _) in documented().items() if not comment} - {"S3_ACCESS_KEY_ID"}
+    assert all(re.fullmatch("[0-9a-f]{48}", value) for value in added.values())
+    subprocess.run([ROOT / "deploy" / "new-env", "--add", path], check=True, timeout=20)
+    assert path.read_text().splitlines() == lines
