@@ -11,7 +11,7 @@ from naojobs import registry
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions
 from naojobs.leases import Lease, claim_next
-from naojobs.models import Evaluation, Match, Trial, TrialState
+from naojobs.models import Evaluation, Match, Study, Trial, TrialState
 from naojobs.usage import add_usage
 
 from tests.integration.attempts import claim_work
@@ -99,6 +99,13 @@ def test_a_study_that_runs_elsewhere_over_http(
     with sessions.begin() as session:  # as a worker starts it
         session.add(Trial(study_id=study["id"], number=0, state=TrialState.RUNNING, params={"n_epochs": 2}))
     problem(make_client("mallory", "submit").post(f"{path}/ask"), 404)
+    with sessions() as session:  # another version has stored it
+        row = session.get_one(Study, study["id"])
+        spec, row.job = row.job["spec"], {**row.job, "spec": {"task": {"name": "gone"}}}
+        session.commit()
+        assert "does not fit this version" in problem(client.post(f"{path}/ask"), 409)["detail"]
+        row.job = {**row.job, "spec": spec}
+        session.commit()
     asked = client.post(f"{path}/ask").json()
     assert (asked["number"], asked["job_id"], asked["spec"]["algorithm"]["n_epochs"]) == (0, None, 2)
     tell = f"{path}/trials/0/tell"

@@ -14,7 +14,7 @@ import pytest
 from naojobs import outcomes, policies, records, studies, submission
 from naojobs.errors import NotFoundError
 from naojobs.leases import Lease
-from naojobs.models import Checkpoint, Job, PolicyRecord, Study
+from naojobs.models import Checkpoint, Job, PolicyRecord, PolicyVersion, Study
 from naojobs.promotion import MAX_ALIASES
 from naojobs.records import MetricsRow
 from naojobs.retention import Retention, prune_checkpoints
@@ -440,6 +440,29 @@ def test_an_alias_requires_results(
 
     assert client.put(f"{path}/requirements", json={"requirements": []}).json()["requirements"] == {}
     assert client.put(path, json={"version": 2}).status_code == 200
+
+
+def test_an_alias_with_requirements_refuses_a_version_that_cannot_be_read(
+    client: httpx.Client, name: str, train: Callable[..., Any], sessions: Sessions
+) -> None:
+    lease, (first,) = train(1024)
+    register(client, name, lease, first)
+    path = f"/policies/{name}/aliases/best/requirements"
+    wanted = {"requirements": [{"result": "fall_rate", "most": 0.1, "conditions": {"start_noise_deg": 8.0}}]}
+    client.put(path, json=wanted).raise_for_status()
+    with sessions.begin() as session:  # an older version had a setting of this name
+        policy = session.scalars(select(PolicyRecord).where(PolicyRecord.name == name)).one()
+        (stored,) = policy.requirements["best"]
+        policy.requirements = {"best": [{**stored, "conditions": {"gone": 8.0}}]}
+    assert "replace this requirement" in refused(client, name, 1)
+    with sessions.begin() as session:  # and a task
+        version = session.scalars(select(PolicyVersion).where(PolicyVersion.checkpoint_id == first)).one()
+        version.spec = {"task": {"name": "gone"}}
+    assert "version 1 cannot be read" in refused(client, name, 1)
+    answer = client.put(path, json=wanted)
+    assert (answer.status_code, "version 1 cannot be read" in answer.json()["detail"]) == (409, True)
+    client.put(path, json={"requirements": []}).raise_for_status()
+    assert client.put(f"/policies/{name}/aliases/best", json={"version": 1}).status_code == 200
 
 
 def test_a_policy_has_so_many_aliases_at_most(client: httpx.Client, name: str, train: Callable[..., Any]) -> None:

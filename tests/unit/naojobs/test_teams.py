@@ -18,6 +18,7 @@ USUAL = skills_of(EXAMPLE)
         ("example:walk=t1-run", {**USUAL, "walk": "t1-run", "kick": "t1-kick"}, "example:walk=t1-run,kick=t1-kick"),
         (f"example:walk={USUAL['walk']}", USUAL, "example"),
         ("example:keep=mine@2", {**USUAL, "keep": "ckpt_1"}, "example:keep=mine@2"),
+        ("example:juggle=mine@2", {**USUAL, "juggle": "ckpt_1"}, "example:juggle=mine@2"),  # of a newer version
     ],
 )
 def test_a_stored_team_is_named_by_the_policies_that_it_had(name: str, policies: dict[str, str], present: str) -> None:

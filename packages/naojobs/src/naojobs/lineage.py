@@ -18,10 +18,10 @@ MAX_JOBS = 100
 """Largest number of jobs of a lineage."""
 
 
-def trained_by(job: Job) -> TrainingSpec | None:
-    """Return the specification of a job; none if this version cannot read it."""
+def trained_by(trained: Job | PolicyVersion) -> TrainingSpec | None:
+    """Return the specification of a job or of a version's job; none if this version cannot read it."""
     try:
-        return read_stored(TrainingSpec, job.spec)
+        return read_stored(TrainingSpec, trained.spec)
     except (ValidationError, plugins.BrokenPluginError):
         return None
 

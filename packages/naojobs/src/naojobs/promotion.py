@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
-from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored
+from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validation_words
 from naospec.metrics import for_family
 from naospec.teams import ROBOT, SKILLS
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
@@ -20,6 +20,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
+from naojobs.lineage import trained_by
 from naojobs.models import Evaluation, Match, PolicyAlias, PolicyRecord, PolicyVersion
 from naojobs.states import WorkState
 
@@ -94,18 +95,30 @@ def require(session: Session, policy: PolicyRecord, alias: str, requirements: Se
         InvalidError: if the policy's task has not the result or the settings of a condition, if its robot cannot meet
             it, or if `MAX_ALIASES` others have requirements.
         NotFoundError: if all versions were deleted.
+        ConflictError: if the specification of the newest version cannot be read.
     """
     newest = session.scalar(
         select(PolicyVersion).where(PolicyVersion.policy_id == policy.id).order_by(PolicyVersion.number.desc()).limit(1)
     )
     if newest is None:
         raise NotFoundError(f"there is no policy {policy.name!r}")
-    trained = read_stored(TrainingSpec, newest.spec)
+    if requirements:
+        _require_possible(newest, requirements)
+    others = {name: kept for name, kept in policy.requirements.items() if name != alias}
+    if requirements and len(others) >= MAX_ALIASES:
+        raise InvalidError(f"{len(others)} other aliases have requirements, of {MAX_ALIASES}; remove some", "alias")
+    wanted = {alias: [each.model_dump(mode="json") for each in requirements]} if requirements else {}
+    policy.requirements = {**others, **wanted}
+
+
+def _require_possible(version: PolicyVersion, requirements: Sequence[Requirement]) -> None:
+    """Raise InvalidError for a requirement that no version like this one could meet."""
+    trained = _trained(version)
     task, family = plugins.load(plugins.TASKS, trained.stage_specs[-1].task.name), trained.stage_specs[-1].family
     metrics = {metric.name: metric for metric in (*task.metrics, *for_family(family, task.results))}
     for number, requirement in enumerate(requirements):
         if requirement.result == MATCH:
-            if _skill(newest) is None:
+            if _skill(version) is None:
                 tasks = ", ".join(task for task, _ in SKILLS.values())
                 message = f"{MATCH}: teams have no such skill; a skill is a {ROBOT}'s policy for task {tasks}"
                 raise InvalidError(message, f"requirements.{number}")
@@ -125,11 +138,6 @@ def require(session: Session, policy: PolicyRecord, alias: str, requirements: Se
             problem = error.errors()[0]
             place = ".".join(str(part) for part in problem["loc"])
             raise InvalidError(f"{requirement.result}: {place}: {problem['msg']}", f"requirements.{number}") from None
-    others = {name: kept for name, kept in policy.requirements.items() if name != alias}
-    if requirements and len(others) >= MAX_ALIASES:
-        raise InvalidError(f"{len(others)} other aliases have requirements, of {MAX_ALIASES}; remove some", "alias")
-    wanted = {alias: [each.model_dump(mode="json") for each in requirements]} if requirements else {}
-    policy.requirements = {**others, **wanted}
 
 
 def requirements_of(policy: PolicyRecord, alias: str) -> list[Requirement]:
@@ -141,7 +149,8 @@ def check(session: Session, policy: PolicyRecord, alias: str, version: PolicyVer
     """Check that a version has what an alias requires.
 
     Raises:
-        ConflictError: naming every requirement that it does not meet, its value, and what to run where it is missing.
+        ConflictError: naming every requirement that it does not meet, its value, and what to run where it is missing;
+            or a stored specification or requirement that cannot be read.
     """
     now = session.get(PolicyAlias, (policy.id, alias))
     before = None if now is None else session.get(PolicyVersion, (policy.id, now.number))
@@ -203,9 +212,18 @@ def _lost_match(session: Session, policy: PolicyRecord, version: PolicyVersion, 
 
 def _skill(version: PolicyVersion) -> str | None:
     """Return which skill of the example player a version is; None if it is none."""
-    spec = read_stored(TrainingSpec, version.spec).stage_specs[-1]
+    spec = _trained(version).stage_specs[-1]
     fits = (skill for skill, (task, _) in SKILLS.items() if task == spec.task.name and spec.robot.name == ROBOT)
     return next(fits, None)
+
+
+def _trained(version: PolicyVersion) -> TrainingSpec:
+    """Return the specification of a version. Raises ConflictError if this version of the service cannot read it."""
+    spec = trained_by(version)
+    if spec is None:
+        message = f"the specification of version {version.number} cannot be read any more; register a newer version"
+        raise ConflictError(message, "version")
+    return spec
 
 
 def _worse(result: dict[str, Any], standing: dict[str, Any]) -> bool:
@@ -217,8 +235,12 @@ def _worse(result: dict[str, Any], standing: dict[str, Any]) -> bool:
 
 def _result(session: Session, requirement: Requirement, version: PolicyVersion) -> dict[str, Any] | None:
     """Return the result of the newest evaluation of a version that the requirement is about."""
-    trained = read_stored(TrainingSpec, version.spec)
-    wanted = _conditions(requirement.specification(trained.stage_specs[-1].task.name), trained)
+    trained = _trained(version)
+    try:
+        wanted = _conditions(requirement.specification(trained.stage_specs[-1].task.name), trained)
+    except ValidationError as error:
+        words = validation_words(error.errors())
+        raise ConflictError(f"{requirement}: {words}; replace this requirement", "requirements") from None
     rows = session.execute(
         select(Evaluation.spec, Evaluation.summary)
         .where(Evaluation.checkpoint_id == version.checkpoint_id, Evaluation.state == WorkState.SUCCEEDED)
@@ -228,7 +250,7 @@ def _result(session: Session, requirement: Requirement, version: PolicyVersion) 
         try:
             spec = read_stored(EvaluationSpec, document)
             conditions = _conditions(spec, trained)
-        except ValidationError:
+        except (ValidationError, plugins.BrokenPluginError):
             continue  # of plug-ins that are gone
         if conditions != wanted or spec.episodes < requirement.episodes:
             continue

@@ -273,7 +273,8 @@ def extend_study(sessions: Sessions, study_id: str, trials: int, *, limits: Limi
 def ask(sessions: Sessions, study_id: str) -> tuple[Trial, JobRequest]:
     """Take a trial of a study whose trials run elsewhere; return it with the training that it stands for.
 
-    Raises NotFoundError, and ConflictError if its trials are jobs, or if none waits to be taken.
+    Raises NotFoundError, and ConflictError if its trials are jobs, if none waits to be taken, or if this version cannot
+    read the study.
     """
     with sessions.begin() as session:
         study = _elsewhere(session, study_id)
@@ -283,10 +284,15 @@ def ask(sessions: Sessions, study_id: str) -> tuple[Trial, JobRequest]:
         trial = session.scalar(select(Trial).where(*free).order_by(Trial.number).limit(1))
         if trial is None:
             raise ConflictError("no trial waits to be taken; report those that are taken, or ask again in some seconds")
+        try:
+            job = trial_job(job_of(study), trial.params)
+        except (ValidationError, plugins.BrokenPluginError) as error:
+            words = validation_words(error.errors()) if isinstance(error, ValidationError) else str(error)
+            raise ConflictError(f"study {study.name} does not fit this version: {words}; start a new one") from None
         trial.asked_at = func.now()
         session.flush()
         session.refresh(trial)
-        return trial, trial_job(job_of(study), trial.params)
+        return trial, job
 
 
 def tell(

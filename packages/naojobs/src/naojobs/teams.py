@@ -14,7 +14,7 @@ from typing import Any, Literal
 from zlib import error as ZlibError
 
 import naopolicies
-from naospec import TrainingSpec, read_stored
+from naospec import TrainingSpec, plugins, read_stored
 from naospec.teams import EXAMPLE, ROBOT, SKILLS, TEAM_FILE, example_name, no_team_file, skills_of, team_command
 from pydantic import BaseModel, ConfigDict, ValidationError
 from sqlalchemy import func, select
@@ -99,13 +99,18 @@ def find_team(session: Session, owner: str, text: str, field: str) -> MatchTeam:
 def present_name(name: str, policies: Mapping[str, str]) -> str:
     """Return the name that a stored team has now: its version may have had other default policies.
 
+    One with skills that this version does not have keeps its name.
+
     Args:
         name: the team's name.
         policies: its policies by skill; none of an uploaded team.
     """
     if not policies:
         return name
-    mentioned = {skill: reference for skill, reference in skills_of(name).items() if f"{skill}=" in name}
+    try:
+        mentioned = {skill: reference for skill, reference in skills_of(name).items() if f"{skill}=" in name}
+    except ValueError:
+        return name
     return example_name({**skills_of(EXAMPLE), **policies, **mentioned})
 
 
@@ -128,7 +133,7 @@ def _policy(session: Session, owner: str, skill: str, reference: str, field: str
         shown, used, document = f"{policy.name}@{version.number}", version.checkpoint_id, version.spec
     try:
         spec = read_stored(TrainingSpec, document).stage_specs[-1]
-    except ValidationError:
+    except (ValidationError, plugins.BrokenPluginError):
         raise InvalidError(f"{skill}: this version cannot read policy {shown}; register a newer one", field) from None
     task = SKILLS[skill][0]
     if (spec.task.name, spec.robot.name) != (task, ROBOT):
