@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from datetime import datetime, timedelta
 from functools import partial
-from itertools import islice
+from itertools import islice, takewhile
 from typing import Any
 
 import httpx
@@ -20,7 +20,7 @@ from naojobs import outcomes, records, registry
 from naojobs.capabilities import Capabilities
 from naojobs.database import make_engine, make_sessions, notify
 from naojobs.leases import Lease
-from naojobs.models import Job
+from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
 from naojobs.tokens import Scope, create_token, revoke
 from naosprint_api import broadcast, queries
@@ -173,6 +173,31 @@ def test_followers_of_all_jobs_hear_of_their_own_only(
     with follow(client, "/jobs/stream", last_id=ready.id) as messages:
         while next(messages).data.get("id") != missed:
             pass
+
+
+def test_followers_of_all_jobs_hear_of_a_result_behind_the_end_of_a_job(
+    client: httpx.Client,
+    sessions: Sessions,
+    run_job: Callable[..., Lease],
+    save_checkpoint: Callable[..., str],
+    follow: Any,
+) -> None:
+    lease = run_job()
+    save_checkpoint(lease, 10, {"policy.npz": b"weights"})
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
+    asked = client.post(f"/jobs/{lease.job_id}/evaluations").raise_for_status().json()["id"]
+    with follow(client, "/jobs/stream") as messages:
+        assert next(messages).event == "ready"
+        claim = claim_work(sessions, Evaluation, asked, "worker-1")
+        assert claim is not None
+        outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
+        summary: dict[str, Any] = {"episodes": 3, "results": [], "headline": []}
+        records.record_result(sessions, claim.lease, summary=summary, key="jobs/x", manifest={"files": []})
+        assert outcomes.succeed(sessions, claim.lease) is None
+        later = run_job().job_id
+        news = takewhile(lambda message: message.data["id"] != later, messages)
+        results = [message.data["result"] for message in news if message.data["id"] == lease.job_id]
+    assert (results[-1]["evaluation_id"], results[-1]["episodes"]) == (asked, 3)
 
 
 def test_followers_hear_of_more_jobs_than_fit_into_one_read(

@@ -53,14 +53,17 @@ def change(work: AnyWork, target: WorkState) -> None:
 def add_event(session: Session, work: AnyWork, kind: str, message: str, data: Mapping[str, Any] | None = None) -> None:
     """Add an event to the job's history; the caller holds the lock on the job's row.
 
-    Events of an evaluation are of kind `evaluation` and contain its id and state. Those of a match have no data.
+    Events of an evaluation are of kind `evaluation` and contain its id and state; its job counts as changed, so that
+    followers of lists see its result. Those of a match have no data.
     """
     message = public(message)
     if isinstance(work, Evaluation):
+        job = session.get_one(Job, work.job_id)
+        job.updated_at = func.now()
         event = Event(
             job_id=work.job_id,
             kind="evaluation",
-            attempt=session.get_one(Job, work.job_id).attempt,
+            attempt=job.attempt,
             message=f"evaluation {work.id}: {message}",
             data={**(data or {}), "evaluation_id": work.id, "state": str(work.state)},
         )
