@@ -279,6 +279,30 @@ def test_neither_retention_nor_deletion_takes_a_registered_checkpoint(
     assert client.delete(f"/jobs/{lease.job_id}").status_code == 204
 
 
+def test_a_refused_deletion_names_no_work_of_another_user(
+    client: httpx.Client, admin: httpx.Client, name: str, train: Callable[..., Any], sessions: Sessions
+) -> None:
+    lease, (checkpoint,) = train(1024)
+    register(client, name, lease, checkpoint)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
+    start = {"parent_job_id": lease.job_id, "parent_checkpoint_id": checkpoint}
+    search = {"space": {"n_epochs": {"type": "int", "low": 1, "high": 3}}}
+    admin.post("/studies", json={"job": start, "search": search}).raise_for_status()
+    child = admin.post("/jobs", json=start).raise_for_status().json()["id"]
+
+    def refusal(path: str) -> str:
+        answer = client.delete(path)
+        assert answer.status_code == 409, answer.text
+        return str(answer.json()["detail"])
+
+    assert refusal(f"/jobs/{lease.job_id}").startswith("a job of another user starts from the policy")
+    assert refusal(f"/policies/{name}").startswith(f"a study of another user uses {name}@1")
+    admin.post(f"/jobs/{child}/cancel").raise_for_status()
+    with sessions.begin() as session:  # as before the version was registered
+        session.delete(session.scalars(select(PolicyVersion).where(PolicyVersion.checkpoint_id == checkpoint)).one())
+    assert refusal(f"/jobs/{lease.job_id}").startswith("a study of another user uses a checkpoint")
+
+
 def test_a_training_starts_from_a_policy_by_name(
     client: httpx.Client, name: str, train: Callable[..., Any], sessions: Sessions
 ) -> None:

@@ -47,20 +47,28 @@ def trained_checkpoint(session: Session, job_id: str) -> Checkpoint | None:
     return session.scalar(newest_first(job_id).where(Checkpoint.step > 0).limit(1))
 
 
-def in_use(session: Session) -> dict[str, str]:
+def in_use(session: Session, owner: str | None = None) -> dict[str, str]:
     """Return the ids of the checkpoints that open matches play with or trials of running studies start from.
 
     Returns:
-        The match or study by checkpoint: "match match_...".
+        The match or study by checkpoint: "match match_...", and "a match of another user" unless it is of `owner`.
     """
     used: dict[str, str] = {}
-    for match_id, teams in session.execute(select(Match.id, Match.spec["teams"]).where(Match.state.in_(OPEN))):
-        used |= {policy: f"match {match_id}" for team in teams or () for policy in team.get("policies", {}).values()}
+    matches = select(Match.id, Match.owner, Match.spec["teams"]).where(Match.state.in_(OPEN))
+    for match_id, theirs, teams in session.execute(matches):
+        name = named("match", match_id, theirs, owner)
+        used |= {policy: name for team in teams or () for policy in team.get("policies", {}).values()}
     parent = Study.job["parent_checkpoint_id"].as_string()
-    for study_id, checkpoint in session.execute(select(Study.id, parent).where(Study.state == StudyState.RUNNING)):
+    studies = select(Study.id, Study.owner, parent).where(Study.state == StudyState.RUNNING)
+    for study_id, theirs, checkpoint in session.execute(studies):
         if checkpoint is not None:
-            used[checkpoint] = f"study {study_id}"
+            used[checkpoint] = named("study", study_id, theirs, owner)
     return used
+
+
+def named(kind: str, work_id: str, theirs: str, owner: str | None) -> str:
+    """Return how work is named to `owner`: users see no work of others."""
+    return f"{kind} {work_id}" if theirs == owner else f"a {kind} of another user"
 
 
 @cache

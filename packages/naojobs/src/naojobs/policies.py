@@ -290,7 +290,7 @@ def delete_policy(sessions: Sessions, policy_id: str) -> None:
 
 def _require_unused(session: Session, policy: PolicyRecord, *versions: PolicyVersion) -> None:
     """Raise ConflictError if a running study or an open match uses one of these versions of a locked policy."""
-    users = in_use(session)
+    users = in_use(session, policy.owner)
     for version in versions:
         if (user := users.get(version.checkpoint_id)) is not None:
             raise ConflictError(f"{user} uses {policy.name}@{version.number}; wait for its end, or cancel it")

@@ -174,9 +174,11 @@ def delete(sessions: Sessions, job_id: str) -> None:
             raise NotFoundError(f"no job {job_id}")
         if job.state not in ENDED:
             raise ConflictError(f"job {job_id} is {job.state}; cancel it first")
-        child = session.scalar(select(Job.id).where(Job.parent_job_id == job_id, Job.state.in_(OPEN)).limit(1))
+        starts_here = (Job.parent_job_id == job_id, Job.state.in_(OPEN))
+        child = session.execute(select(Job.id, Job.owner).where(*starts_here).limit(1)).first()
         if child is not None:
-            raise ConflictError(f"job {child} starts from the policy of job {job_id}; wait for its end, or cancel it")
+            name = checkpoints.named("job", child.id, child.owner, job.owner)
+            raise ConflictError(f"{name} starts from the policy of job {job_id}; wait for its end, or cancel it")
         registered = session.execute(
             select(PolicyRecord.name, PolicyVersion.number)
             .join(PolicyVersion, PolicyVersion.policy_id == PolicyRecord.id)
@@ -187,7 +189,7 @@ def delete(sessions: Sessions, job_id: str) -> None:
         if registered is not None:
             reference = f"{registered.name}@{registered.number}"
             raise ConflictError(f"policy {reference} is a checkpoint of job {job_id}; delete {reference} first")
-        users = checkpoints.in_use(session)
+        users = checkpoints.in_use(session, job.owner)
         mine = session.scalars(select(Checkpoint.id).where(Checkpoint.job_id == job_id, Checkpoint.id.in_(users)))
         if (used := mine.first()) is not None:
             raise ConflictError(f"{users[used]} uses a checkpoint of job {job_id}; wait for its end, or cancel it")
