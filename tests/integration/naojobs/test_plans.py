@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -124,7 +125,11 @@ def test_the_metrics_of_the_service(sessions: Sessions, engine: Engine, held: Le
     assert {"naosprint_stalled 0.0", "naosprint_jobs_failed_recently 0.0"} <= set(before)
 
     waiting, _ = submission.submit(sessions, JobRequest(), owner="alice")
+    tomorrow = datetime.now(UTC) + timedelta(days=1)
+    for request in (JobRequest(not_before=tomorrow), JobRequest(parent_job_id=waiting.id)):  # no worker may begin them
+        submission.submit(sessions, request, owner="alice")
     with sessions.begin() as session:
+        session.execute(text("UPDATE jobs SET queued_at = now() - interval '1 day' WHERE state = 'queued'"))
         row = session.get_one(Job, waiting.id)
         row.postponed = 1
         session.execute(text("UPDATE jobs SET queued_at = now() - interval '90 s' WHERE id = :id"), {"id": row.id})

@@ -8,6 +8,7 @@ from datetime import timedelta
 from typing import cast
 
 from naojobs.database import Sessions
+from naojobs.leases import waiting
 from naojobs.models import WORK, AnyWork, Backup, Delivery, Job, Match, Worker
 from naojobs.states import WorkState
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
@@ -23,7 +24,7 @@ _ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("naosprint_jobs", "Jobs by state.", ("state",)),
     ("naosprint_matches", "Matches by state.", ("state",)),
     ("naosprint_workers_alive", "Workers with a heartbeat in the last 30 s.", ()),
-    ("naosprint_queue_oldest_seconds", "Waiting time of the oldest queued job.", ()),
+    ("naosprint_queue_oldest_seconds", "Waiting time of the oldest job that a worker may begin now.", ()),
     ("naosprint_jobs_failed_recently", "Jobs that have failed in the last 15 minutes.", ()),
     ("naosprint_jobs_postponed", "Queued jobs whose last attempt ended because a service was unavailable.", ()),
     ("naosprint_stalled", "Trainings, evaluations and matches that are running without making steps.", ()),
@@ -80,9 +81,9 @@ def _counts(session: Session) -> Iterator[tuple[str, float]]:
 
     Each condition of work is such that an index serves: most rows are of work that has ended.
     """
-    oldest = func.coalesce(func.extract("epoch", func.now() - func.min(Job.queued_at)), 0)
-    waiting = select(oldest, func.count().filter(Job.postponed > 0)).where(Job.state == WorkState.QUEUED)
-    oldest_s, postponed = session.execute(waiting).one()
+    since = func.min(func.greatest(Job.queued_at, Job.not_before))  # null counts as no time
+    oldest = waiting(Job).with_only_columns(func.greatest(func.extract("epoch", func.now() - since), 0))
+    postponed = select(func.count()).where(Job.state == WorkState.QUEUED, Job.postponed > 0)
     recently = func.now() - timedelta(minutes=15)
     ended = (Job.finished_at > recently, Job.updated_at > recently)  # the end is a change, and others may follow it
     failed = select(func.count(Job.id)).where(Job.state == WorkState.FAILED, *ended)
@@ -90,9 +91,9 @@ def _counts(session: Session) -> Iterator[tuple[str, float]]:
         select(func.count(model.id)).where(model.stalled_since.is_not(None), model.lease_owner.is_not(None))
         for model in WORK.values()
     )
-    yield "naosprint_queue_oldest_seconds", float(oldest_s)
+    yield "naosprint_queue_oldest_seconds", float(session.scalar(oldest))
     yield "naosprint_jobs_failed_recently", session.scalar(failed) or 0
-    yield "naosprint_jobs_postponed", postponed
+    yield "naosprint_jobs_postponed", session.scalar(postponed) or 0
     yield "naosprint_stalled", sum(session.scalar(query) or 0 for query in stalled)
     yield "naosprint_workers_alive", session.scalar(select(func.count()).select_from(Worker).where(_ALIVE)) or 0
     messages = select(func.count()).select_from(Delivery).where(Delivery.next_at.is_not(None))
