@@ -26,6 +26,7 @@ from naojobs.leases import Lease
 from naojobs.models import Event, Job, Log, MetricsRecord, Token
 from naojobs.records import LogLine
 from naojobs.states import WorkState
+from naojobs.tokens import Scope, create_token, revoke
 from naospec import recipes
 from sqlalchemy import event, func, select, update
 from sqlalchemy.orm import Session, sessionmaker
@@ -305,6 +306,23 @@ def looked_up(api: Any) -> Iterator[list[str]]:
         yield statements
     finally:
         event.remove(engine, "before_cursor_execute", note)
+
+
+def test_revoked_tokens_count_against_their_address(
+    start_api: Callable[..., Any], sessions: sessionmaker[Session]
+) -> None:
+    api = start_api(api_rate_per_s=0.01, api_rate_burst=2)
+    made = [create_token(sessions, name="", owner="revoked", scopes=[Scope.READ]) for _ in range(4)]
+    with httpx.Client(base_url=api.url, timeout=20) as client:
+
+        def statuses() -> list[int]:
+            return [client.get("/whoami", headers={"Authorization": f"Bearer {each}"}).status_code for _, each in made]
+
+        assert statuses() == [200] * 4
+        for token_id, _ in made:
+            revoke(sessions, token_id)
+        api.server._service.principals.forget()
+        assert statuses() == [401, 401, 429, 429]
 
 
 @pytest.mark.parametrize("method", ["GET", "POST"])

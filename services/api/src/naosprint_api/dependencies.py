@@ -164,6 +164,7 @@ async def _authenticate(
         count_address(request, service)
     principal = service.principals.find(secret) or await in_thread(partial(service.principals.get, secret))
     if principal is None:
+        count_address(request, service)  # a token that was valid before is not counted yet
         _log.warning("refused an unknown token from %s", _caller(request))
         service.telemetry.refused.labels("token").inc()
         raise ProblemError(
