@@ -173,6 +173,11 @@ def test_migrations_and_tokens_from_a_shell(
     assert "nao_" not in listed
     assert main(["token", "revoke", "token_unknown"]) == 1
     assert "no token token_unknown" in capsys.readouterr().err
+    for option, value in (("--days", "4000000"), ("--days", "0"), ("--days", "nan"), ("--name", "n" * 201)):
+        assert main(["token", "create", "--owner", "alice", "--scope", "read", option, value]) == 1
+        assert capsys.readouterr().err.startswith(f"{option[2:]}: give ")
+    assert main(["token", "list"]) == 0, "none of them was made"
+    assert capsys.readouterr().out == listed
 
 
 @pytest.mark.parametrize("reachable", [True, False])

@@ -144,6 +144,8 @@ def _run(arguments: argparse.Namespace, settings: RoleSettings | DatabaseSetting
 
 def _token(arguments: argparse.Namespace, sessions: Sessions) -> object:
     if arguments.verb == "create":
+        if arguments.days is not None and not arguments.days > 0:
+            raise ValueError("days: give more than 0")
         token_id, secret = create_token(
             sessions,
             name=arguments.name,

@@ -37,6 +37,10 @@ __all__ = [
 ]
 
 _PREFIX = "nao_"
+MAX_NAME = 200
+"""Characters of the name of a token, and of its owner's."""
+MAX_DAYS = 36_500
+"""Days until a token expires; far beyond, there are times that only the database can read."""
 KEEP = timedelta(days=30)
 """Time for which tokens are listed that have been revoked or have expired."""
 
@@ -87,8 +91,12 @@ def create_token(
     """
     if not scopes:
         raise ValueError(f"scopes: give at least one of {', '.join(Scope)}")
-    if not owner or len(owner) > 200:
-        raise ValueError("owner: give 1 to 200 characters")
+    if not owner or len(owner) > MAX_NAME:
+        raise ValueError(f"owner: give 1 to {MAX_NAME} characters")
+    if len(name) > MAX_NAME:
+        raise ValueError(f"name: give at most {MAX_NAME} characters")
+    if valid_for is not None and valid_for > timedelta(days=MAX_DAYS):
+        raise ValueError(f"days: give at most {MAX_DAYS:,}, or none for a token that does not expire")
     secret = _PREFIX + secrets.token_urlsafe(32)
     expires_at = func.now() + valid_for if valid_for is not None else None
     with sessions.begin() as session:

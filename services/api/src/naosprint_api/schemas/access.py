@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Annotated
 
 from naojobs.scopes import Scope
+from naojobs.tokens import MAX_DAYS
 from pydantic import BaseModel, Field, StringConstraints
 
 from naosprint_api.patterns import PLAIN
@@ -49,7 +50,7 @@ class TokenCreate(RequestBody):
         description="read: see one's own jobs; submit: also submit and control them; metrics: the "
         "service's metrics only; admin: all jobs, and tokens.",
     )
-    expires_in_days: float | None = Field(None, gt=0, le=36_500, description="Days until it expires; null for never.")
+    expires_in_days: float | None = Field(None, gt=0, le=MAX_DAYS, description="Days until it expires; null for never.")
 
 
 class TokenPublic(RowView):
