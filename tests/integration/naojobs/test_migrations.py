@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -171,6 +173,10 @@ def test_migrations_and_tokens_from_a_shell(
     listed = capsys.readouterr().out
     assert "alice" in listed
     assert "nao_" not in listed
+    for given, status in ((json.loads(created)["token"], 0), ("nao_unknown", 1), ("", 1)):
+        monkeypatch.setattr("sys.stdin", io.StringIO(f"{given}\n"))
+        assert main(["token", "verify"]) == status
+        assert ('"scopes": ["read", "submit"]' in capsys.readouterr().out) is (status == 0)
     assert main(["token", "revoke", "token_unknown"]) == 1
     assert "no token token_unknown" in capsys.readouterr().err
     for option, value in (("--days", "4000000"), ("--days", "0"), ("--days", "nan"), ("--name", "n" * 201)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -155,3 +156,30 @@ def test_exporters_have_no_way_out(name: str) -> None:
     joined = services(SERVICE)[name]["networks"]
     assert all((networks[one] or {}).get("internal") for one in joined)
     assert set(joined) & set(services(SERVICE)["prometheus"]["networks"]), "Prometheus reaches it"
+
+
+STUB = """#!/bin/sh
+case "$*" in
+  *"token verify") grep -qx valid ;;
+  *"token create"*) printf '{"id": "token_1", "token": "new"}' ;;
+  *) exec "$REAL" "$@" ;;
+esac
+"""
+"""A program `python` whose database knows one token, `valid`."""
+
+
+@pytest.mark.parametrize(("before", "after"), [(None, "new"), ("", "new"), ("valid", "valid"), ("other", "new")])
+def test_prometheus_gets_a_token_again_where_a_restored_database_lacks_its_own(
+    before: str | None, after: str, tmp_path: Path
+) -> None:
+    shell, options, script = services(SERVICE)["prometheus-token"]["command"]
+    (tmp_path / "python").write_text(STUB, encoding="utf-8")
+    (tmp_path / "python").chmod(0o755)
+    folder = tmp_path / "volume"
+    folder.mkdir()
+    if before is not None:
+        (folder / "token").write_text(before, encoding="utf-8")
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "REAL": sys.executable}
+    command = [shell, options, script.replace("/var/lib/naosprint", str(folder))]
+    subprocess.run(command, env=environment, check=True, timeout=20)
+    assert {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()} == {"token": after}

@@ -18,12 +18,12 @@ from sqlalchemy.exc import DBAPIError, OperationalError, ProgrammingError
 from naojobs import backups
 from naojobs.archive import export_artifacts, import_artifacts, verify_artifacts
 from naojobs.database import Sessions, downgrade, make_engine, make_sessions, upgrade
-from naojobs.errors import JobError
+from naojobs.errors import JobError, NotFoundError
 from naojobs.retention import DEFAULT_AGE_S, adopt, find_orphans, sweep
 from naojobs.roles import RoleSettings, create_roles
 from naojobs.settings import SETTINGS_ERRORS, DatabaseSettings, ServiceSettings, settings_words
 from naojobs.store import ArtifactStore, StoreError
-from naojobs.tokens import Scope, create_token, list_tokens, revoke
+from naojobs.tokens import Scope, create_token, list_tokens, revoke, verify
 from naojobs.upgrades import check_upgrade
 
 STORE_PATIENCE_S = 120.0
@@ -55,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     create.add_argument("--scope", action="append", choices=list(Scope), required=True, help="may be given repeatedly")
     create.add_argument("--days", type=float, help="days until it expires (default: never)")
     token.add_parser("list", help="show all tokens, without their secrets")
+    token.add_parser("verify", help="check that the token on standard input is valid")
     token.add_parser("revoke", help="revoke a token").add_argument("id")
 
     artifacts = commands.add_parser("artifacts", help="export, import and clean up artifacts")
@@ -157,6 +158,11 @@ def _token(arguments: argparse.Namespace, sessions: Sessions) -> object:
     if arguments.verb == "list":
         shown = ("id", "name", "owner", "scopes", "created_at", "expires_at", "revoked_at")
         return [{name: getattr(token, name) for name in shown} for token in list_tokens(sessions)]
+    if arguments.verb == "verify":
+        principal = verify(sessions, sys.stdin.readline().strip())
+        if principal is None:
+            raise NotFoundError("the token is unknown, expired or revoked")
+        return {"id": principal.token_id, "owner": principal.owner, "scopes": sorted(principal.scopes)}
     revoke(sessions, arguments.id)
     return {"id": arguments.id, "revoked": True}
 
