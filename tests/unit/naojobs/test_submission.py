@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import pytest
 from naojobs.errors import InvalidError
+from naojobs.models import Study
+from naojobs.studies import StudyRequest
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest, expand_group
 from naospec import TrainingSpec
+from naospec.search import SearchSpec
 
 
 def test_a_job_without_a_name_gets_one() -> None:
     assert JobRequest(TrainingSpec(algorithm={"preset": "paper"}, seed=4)).display_name == "sprint1-paper-4"
+
+
+def test_a_study_of_a_job_with_a_long_name_gets_one_that_fits() -> None:
+    search = SearchSpec.model_validate({"space": {"n_epochs": {"type": "int", "low": 1, "high": 3}}})
+    longest = Study.__table__.c.name.type.length
+    assert StudyRequest(JobRequest(name="n" * longest), search).display_name == f"tune-{'n' * (longest - 5)}"
 
 
 def test_the_digest_distinguishes_requests() -> None:

@@ -28,6 +28,8 @@ from naojobs.requests import cancel_open
 from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, with_parent
 from naojobs.webhooks import MessageType, publish
 
+MAX_NAME = 200
+"""Characters of a name."""
 MAX_FAILURES_IN_A_ROW = 5
 """Trials in a row that may fail before the study fails."""
 PARENT = ("parent_job_id", "parent_checkpoint_id", "parent_policy")
@@ -46,7 +48,7 @@ class StudyRequest:
     @property
     def display_name(self) -> str:
         """Name, or one made of the job's."""
-        return self.name or f"tune-{self.job.display_name}"
+        return self.name or f"tune-{self.job.display_name}"[:MAX_NAME]
 
     def digest(self) -> str:
         """Return the SHA-256 that equal requests share."""
