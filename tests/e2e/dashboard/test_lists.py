@@ -165,6 +165,9 @@ def test_jobs_are_cancelled_and_deleted_together(browser: Browser, token: str, c
     browser.open("/")
     browser.until(lambda: len(listed(browser)) == 3)
     browser.find("thead input[type=checkbox]").click()
+    client.post(f"/jobs/{jobs[0]}/cancel")
+    browser.until(lambda: browser.text("[data-bulk=cancel]") == "Cancel 2", message="an ended job is still counted")
+    assert browser.text("[data-bulk=delete]") == "Delete 1"
     browser.find("[data-bulk=cancel]").click()
     browser.find("dialog button[value=yes]").click()
     browser.until(lambda: {j["state"] for j in client.get("/jobs").json()["items"]} == {"cancelled"})

@@ -3,7 +3,7 @@
 import { call, may, query } from "../api.js";
 import { common, Descriptions, descriptions, nameOf } from "../descriptions.js";
 import { confirmDialog, fill, h, icon, isTyping, setText, toast } from "../dom.js";
-import { integer } from "../format.js";
+import { integer, words } from "../format.js";
 import { act, latest, namesOf, newer, progress, remaining, shownMetric, valueIn } from "../jobs.js";
 import { read, write } from "../kept.js";
 import { ACTIVE, actionsFor, isEnded } from "../states.js";
@@ -617,6 +617,7 @@ class JobsView {
       return;
     }
     this.put(data);
+    if (this.selected.has(data.id)) this.bar.querySelectorAll("[data-bulk]").forEach((b) => this.counted(b));
     if (known && !this.filter.sort) return;
     if (!known) this.fresh.add(data.id);
     this.paintSoon();
@@ -681,22 +682,25 @@ class JobsView {
       fill(this.bar);
       return;
     }
-    const bulk = (name, label) => {
-      const count = this.allowing(name).length;
-      return h(
-        "button",
-        { class: "small danger", "data-bulk": name, disabled: !count, onclick: () => this.bulk(name) },
-        `${label} ${count}`,
-      );
-    };
+    const bulk = (name) =>
+      this.counted(h("button", { class: "small danger", "data-bulk": name, onclick: () => this.bulk(name) }));
     fill(
       this.bar,
       h("span", null, `${n} selected`),
       h("a", { class: "button primary small", href: `#/compare?jobs=${[...this.selected].join(",")}` }, "Compare"),
-      bulk("cancel", "Cancel"),
-      bulk("delete", "Delete"),
+      bulk("cancel"),
+      bulk("delete"),
       h("button", { class: "ghost small", onclick: () => this.selectAll(false) }, "Clear"),
     );
+  }
+
+  /** The button of an action with the number of selected jobs that allow it now. */
+  counted(button) {
+    const { bulk } = button.dataset;
+    const count = this.allowing(bulk).length;
+    setText(button, `${words(bulk)} ${count}`);
+    button.disabled = !count;
+    return button;
   }
 
   /** Cancel or delete the selected jobs that allow it, after one question. */
