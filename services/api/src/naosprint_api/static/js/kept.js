@@ -1,8 +1,9 @@
 /** What this browser keeps for its user between visits; without storage it lasts for the page. */
 
+/** What the storage has refused. */
 const held = new Map();
 
-/** The value kept under a key, or null. */
+/** The value kept under a key, perhaps by another tab, or null. */
 export function read(key) {
   if (held.has(key)) return held.get(key);
   try {
@@ -14,10 +15,10 @@ export function read(key) {
 
 /** Keep a value that JSON can hold. */
 export function write(key, value) {
-  held.set(key, value);
   try {
     localStorage.setItem(key, JSON.stringify(value));
+    held.delete(key);
   } catch {
-    /* storage refused */
+    held.set(key, value);
   }
 }

@@ -106,13 +106,14 @@ export class ListMenus {
 
   /** Views by name: the address of the list, and its columns. */
   paintViews() {
-    const views = read(VIEWS_KEY) ?? {};
+    const kept = () => read(VIEWS_KEY) ?? {}; // other tabs change them, too
+    const views = kept();
     const name = h("input", { id: "view-name", type: "text", required: true, maxlength: 60, autocomplete: "off" });
     const save = (event) => {
       event.preventDefault();
       const { filter, own, hidden } = this.list;
       const view = { address: query(filter), own: [...own], hidden: [...hidden] };
-      write(VIEWS_KEY, { ...views, [name.value.trim()]: view });
+      write(VIEWS_KEY, { ...kept(), [name.value.trim()]: view });
       this.paintViews();
     };
     fill(
@@ -131,7 +132,7 @@ export class ListMenus {
                 class: "ghost square",
                 "aria-label": `Delete view ${title}`,
                 onclick: () => {
-                  const { [title]: gone, ...left } = views;
+                  const { [title]: gone, ...left } = kept();
                   write(VIEWS_KEY, left);
                   this.paintViews();
                 },
