@@ -174,11 +174,12 @@ class Models {
 
 class Worlds {
  public:
-  Worlds(const nb::dict& functions, std::uint64_t model, const Layout& layout, const Addresses& data, const Addresses& ctrl,
+  Worlds(const nb::dict& functions, const nb::list& owners, std::uint64_t model, const Layout& layout, const Addresses& data, const Addresses& ctrl,
          const Addresses& sensordata, const Addresses& qpos, const Addresses& speeds,
          const Addresses& xpos, const Addresses& xmat, const Doubles& kp, const Doubles& kd, const std::vector<int>& bodies, int substeps,
          int delay, bool truncate, int threads)
-      : step_(pointer_to<Step>(functions["mj_step"])),
+      : owners_(owners),
+        step_(pointer_to<Step>(functions["mj_step"])),
         set_state_(pointer_to<SetState>(functions["mj_setState"])),
         get_state_(pointer_to<GetState>(functions["mj_getState"])),
         kinematics_(pointer_to<Compute>(functions["mj_kinematics"])),
@@ -311,7 +312,12 @@ class Worlds {
   // Forget which rows were active: the state is not the last substep's.
   void forget(int row) { std::fill_n(remembered(row), layout_.rows, std::uint8_t{0}); }
 
-  Models& models() { return models_; }
+  // Robots that differ from each other: see Models::use; `owners`: the models.
+  void use_models(const nb::list& owners, const Addresses& models, const Addresses& parts, const std::vector<int>& counts) {
+    models_.use(models, parts, counts);
+    for (nb::handle owner : owners) owners_.append(owner);
+  }
+  void set_own(int row, const Doubles& numbers) { models_.set(row, numbers); }
 
   // Step robots of one kind together, with the kernel's equations instead of mj_step; `isa` empty: the best that runs here. `warm`:
   // addresses of qacc_warmstart; `first_geom`: of the robot; `ball`: the ball's geom, -1 without one; `moving`: the kernel's numbers
@@ -562,6 +568,7 @@ class Worlds {
     if (!(std::fabs(out[1]) <= kView && std::fabs(out[2]) <= kView)) out[0] = out[1] = out[2] = std::nan("");
   }
 
+  nb::list owners_;  // first, so that helpers have ended when it goes: the objects whose memory they use
   Step step_;
   SetState set_state_;
   GetState get_state_;
@@ -606,7 +613,7 @@ NB_MODULE(_mujoco, m) {
   });
   nb::class_<Worlds>(m, "Worlds")
       .def("__init__",
-           [](Worlds* self, const nb::dict& functions, std::uint64_t model, int joints, int positions, int torso, int state, int signature, int parts,
+           [](Worlds* self, const nb::dict& functions, const nb::list& owners, std::uint64_t model, int joints, int positions, int torso, int state, int signature, int parts,
               const Addresses& data, const Addresses& ctrl, const Addresses& sensordata, const Addresses& qpos,
               const Addresses& speeds, const Addresses& xpos, const Addresses& xmat, const Doubles& kp, const Doubles& kd,
               const std::vector<int>& bodies, int substeps, int delay, bool truncate, int threads) {
@@ -616,9 +623,9 @@ NB_MODULE(_mujoco, m) {
              require(kp.size() == data.size() * static_cast<std::size_t>(joints) && kd.size() == kp.size(), "kp, kd: wrong shape");
              require(joints >= 1 && positions >= torso + 7 && torso >= 0 && state >= 1 && parts >= 0, "layout: out of range");
              require(substeps >= 1 && (delay == 0 || delay == 1) && threads >= 1, "substeps, delay, threads: out of range");
-             new (self) Worlds(functions, model, {joints, positions, torso, state, signature, parts}, data, ctrl, sensordata, qpos, speeds,
+             new (self) Worlds(functions, owners, model, {joints, positions, torso, state, signature, parts}, data, ctrl, sensordata, qpos, speeds,
                                xpos, xmat, kp, kd, bodies, substeps, delay, truncate, threads);
-           }, nb::kw_only(), nb::arg("functions"), nb::arg("model"), nb::arg("joints"), nb::arg("positions"), nb::arg("torso"),
+           }, nb::kw_only(), nb::arg("functions"), nb::arg("owners"), nb::arg("model"), nb::arg("joints"), nb::arg("positions"), nb::arg("torso"),
            nb::arg("state"), nb::arg("signature"), nb::arg("parts"), nb::arg("data"), nb::arg("ctrl"), nb::arg("sensordata"), nb::arg("qpos"),
            nb::arg("speeds"), nb::arg("xpos"), nb::arg("xmat"), nb::arg("kp"), nb::arg("kd"), nb::arg("bodies"),
            nb::arg("substeps"), nb::arg("delay"), nb::arg("truncate"), nb::arg("threads"))
@@ -669,10 +676,8 @@ NB_MODULE(_mujoco, m) {
            })
       .def("refresh", [](Worlds& self, int row) { self.refresh(row_of(self, row)); })
       .def("forget", [](Worlds& self, int row) { self.forget(row_of(self, row)); })
-      .def("use_models", [](Worlds& self, const Addresses& models, const Addresses& parts, const std::vector<int>& counts) {
-             self.models().use(models, parts, counts);
-           }, nb::arg("models"), nb::arg("parts"), nb::arg("counts"))
-      .def("set_own", [](Worlds& self, int row, const Doubles& numbers) { self.models().set(row_of(self, row), numbers); })
+      .def("use_models", &Worlds::use_models, nb::arg("owners"), nb::arg("models"), nb::arg("parts"), nb::arg("counts"))
+      .def("set_own", [](Worlds& self, int row, const Doubles& numbers) { self.set_own(row_of(self, row), numbers); })
       .def("use_kernel", &Worlds::use_kernel, nb::arg("robot"), nb::arg("isa"), nb::arg("shared"), nb::arg("warm"), nb::arg("step"),
            nb::arg("first_geom"), nb::arg("ball"), nb::arg("moving"))
       .def("set_numbers", [](Worlds& self, int row, const Doubles& varied) { self.set_numbers(row_of(self, row), varied); })

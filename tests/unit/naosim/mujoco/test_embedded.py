@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import resource
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -210,6 +212,24 @@ def test_a_robot_whose_physics_diverge_is_lost_until_it_starts_again() -> None:
     simulator.start(np.array([0]), np.array([1]))
     assert not simulator.lost.any() and simulator.failures == 1
     assert np.array_equal(simulator.snapshot()[0], before)
+
+
+def test_the_worlds_of_a_step_in_the_background_outlive_the_simulator() -> None:
+    """Threads step them on where nobody waits for the step: after an error, the simulator is dropped at once."""
+
+    def owned() -> list[bool]:
+        return [sys.getrefcount(each) > 3 for each in used]  # by the list, `each`, and the argument
+
+    simulator = opened(3, threads=2)
+    simulator.vary([Variation(friction=0.9)] * 3, np.random.default_rng(0))
+    simulator.step_async(np.repeat(T1.nominal[None], 3, axis=0), slice(0, 3))
+    batch, angles = simulator.batch, simulator.perceptors["joint_angles"]
+    used = [batch.world.model, *batch.data, *batch._models[1:]]
+    del simulator, batch
+    gc.collect()
+    assert all(owned()), "by the loop in C++, which its arrays keep"
+    del angles
+    assert not any(owned()[1:])
 
 
 def test_malformed_commands_are_refused() -> None:

@@ -73,6 +73,7 @@ class MujocoBatch:
         signature = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
         self._worlds = Worlds(
             functions=_functions(),
+            owners=[world.model, *self.data],
             model=world.model._address,
             joints=world.joints,
             positions=world.model.nq,
@@ -180,6 +181,7 @@ class MujocoBatch:
             self._models = [copy.copy(self.world.model) for _ in range(self._threads + 1)]
             arrays = [own_arrays(model) for model in self._models[1:]]
             self._worlds.use_models(
+                owners=self._models[1:],
                 models=_addresses(model._address for model in self._models[1:]),
                 parts=_addresses(array.ctypes.data for one in arrays for array in one),
                 counts=[array.size for array in arrays[0]],
