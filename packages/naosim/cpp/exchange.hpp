@@ -9,6 +9,9 @@
 
 namespace naosim::protocol {
 
+// What is wrong with a robot of a world that has diverged.
+constexpr char kNotFinite[] = "a perceptor or the torso's pose is not a finite number";
+
 // One agent connection, and possibly one monitor connection, to each of many servers.
 class Exchange {
  public:

@@ -126,6 +126,10 @@ std::string MujocoExchange::read(int row, bool, std::string_view text) {
 
 std::string MujocoExchange::lacking(int row) const {
   const int seen = robots_[row].parts_seen, expected = static_cast<int>(joints_) + 5;
+  const std::size_t r = static_cast<std::size_t>(row);
+  const bool whole = finite(&joint_angles[r * joints_], joints_) && finite(&joint_speeds[r * joints_], joints_) &&
+                     finite(&torso_quat[4 * r], 4) && finite(&torso_pos[3 * r], 3) && finite(&gyro[3 * r], 3) && finite(&accel[3 * r], 3);
+  if (!whole) return kNotFinite;
   if (seen == expected) return {};
   return std::to_string(seen) + " of " + std::to_string(expected) + " perceptors came (time, quat, pos, GYR, ACC, " +
          std::to_string(joints_) + " HJ)";

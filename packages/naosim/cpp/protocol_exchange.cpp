@@ -65,6 +65,10 @@ std::string SparkExchange::read(int row, bool monitor, std::string_view text) {
 
 std::string SparkExchange::lacking(int row) const {
   const int seen = robots_[row].joints_seen;
+  const std::size_t r = static_cast<std::size_t>(row);
+  const bool whole = finite(&joint_angles[r * joints_], joints_) && finite(&gyro[3 * r], 3) && finite(&accel[3 * r], 3) &&
+                     finite(&torso_position[3 * r], 3) && finite(&torso_rotation[9 * r], 9);
+  if (!whole) return kNotFinite;
   if (seen == static_cast<int>(joints_)) return {};
   return std::to_string(seen) + " of " + std::to_string(joints_) + " joint angles came";
 }

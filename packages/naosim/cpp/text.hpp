@@ -10,6 +10,9 @@ namespace naosim::protocol {
 
 bool parse_number(std::string_view word, double& value);
 
+// Whether all numbers are finite: what a server reports of a world that has diverged is not.
+bool finite(const double* values, std::size_t count);
+
 // Walks over S-expressions without building a tree. Every method returns false where the text does not fit. All is inline:
 // a frame has hundreds of short words.
 class Cursor {

@@ -88,8 +88,10 @@ def test_a_lost_server_is_told_and_replaced_while_the_others_go_on() -> None:
         assert "exit code -9" in remote.reason(0)
         assert "no reply within 1.0 s" in remote.reason(1)
         before = remote.perceptors.time[2]
-        remote.step(still)
+        remote.step(np.full((3, 22), [[np.nan], [np.inf], [0.0]]))  # as from the perceptors of worlds that diverged
         assert remote.perceptors.time[2] == pytest.approx(before + 0.02)
+        with pytest.raises(ValueError, match="speeds: must be finite numbers"):
+            remote.step(np.full((3, 22), np.nan))
         assert remote.replace() == [0, 1]
         assert not remote.failed.any()
         remote.beam((-14.0, 0.0, 0.4), -90.0)

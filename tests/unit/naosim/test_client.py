@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from naosim.launchers import Address
+from naosim.mujoco._mujoco import Exchange as MujocoExchange
 from naosim.robots import nao_model
 from naosim.simspark import RemoteBatch, _core, protocol
 
@@ -104,6 +105,31 @@ def test_a_robot_with_other_joints_is_told(server: Server) -> None:
     server.monitor.sendall(protocol.frame(b"((time 0))"))
     server.step(np.zeros((1, 22)))
     assert server.exchange.failure(0) == "malformed reply: 1 of 22 joint angles came"
+
+
+@pytest.mark.parametrize(
+    "sense", [b"(HJ (n hj1) (ax nan))", b"(GYR (n torso) (rt 0 -inf 0))", b"(ACC (n torso) (a 0 0 nan))"]
+)
+def test_a_robot_whose_world_has_diverged_is_told(server: Server, sense: bytes) -> None:
+    """The server is lost and replaced; a command that follows from such a perceptor would be refused for all robots."""
+    server.agent.sendall(protocol.frame(GOOD + sense))
+    server.monitor.sendall(protocol.frame(b"((time 0))"))
+    server.step(np.zeros((1, 22)))
+    assert server.exchange.failure(0) == "malformed reply: a perceptor or the torso's pose is not a finite number"
+
+
+@pytest.mark.parametrize(("angle", "expected"), [(b"1.5", ""), (b"nan", "is not a finite number")])
+def test_a_booster_whose_world_has_diverged_is_told(angle: bytes, expected: str) -> None:
+    ours, theirs = socket.socketpair()
+    exchange = MujocoExchange(1, ["q_he1"], ["he1"], [1.0], [1.0], False)
+    exchange.attach(0, theirs.detach(), -1)
+    pose = b"(time (now 0.1))(quat (n torso)(q 1 0 0 0))(pos (n torso)(p 0 0 0.6))(GYR (rt 0 0 0))(ACC (a 0 0 9.81))"
+    with ours:
+        exchange.dispatch(np.zeros((1, 1)), None)
+        ours.sendall(protocol.frame(pose + b"(HJ (n q_he1)(ax %s)(vx 0))" % angle))
+        assert exchange.gather(None, 5.0, False) == bool(expected)
+        assert expected in exchange.failure(0)
+        exchange.detach(0)
 
 
 def test_a_frame_that_has_come_already_answers_no_later_command(server: Server) -> None:

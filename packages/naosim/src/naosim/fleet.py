@@ -196,13 +196,13 @@ class Fleet(ABC):
             mask: (n,), which environments. Default all.
 
         Raises:
-            ValueError: wrong shape, or a command is not finite; nothing has been sent then.
+            ValueError: wrong shape, or a command is not finite, unless its server is lost; nothing has been sent then.
         """
         values = np.ascontiguousarray(commands, dtype=np.float64)
         if values.shape != self._idle.shape:
             raise ValueError(f"{self.command_name}: must have shape {self._idle.shape}, not {values.shape}")
         rows = self._rows(mask)
-        if not np.isfinite(values if rows is None else values[rows.view(np.bool_)]).all():
+        if not np.isfinite(values[self._able(mask)]).all():
             raise ValueError(f"{self.command_name}: must be finite numbers")
         with self._lock:
             self._dispatch(values, rows)
