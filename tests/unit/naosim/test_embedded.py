@@ -97,3 +97,20 @@ def test_threads_and_digits_reach_the_engine() -> None:
     assert not np.array_equal(angles[0], np.round(angles[0], 2))
     with pytest.raises(ValueError, match="sensor_digits"):
         parameters(sensor_digits=4)
+
+
+@pytest.mark.parametrize("onboard", [False, True], ids=["", "with vision"])
+def test_what_is_no_snapshot_of_these_robots_is_refused_and_changes_nothing(onboard: bool) -> None:
+    simulator = EmbeddedSimulator(NAO.with_parameters({"onboard_sensing": onboard}), 3)
+    simulator.load_starts(Starts(NAO.nominal[None]))
+    simulator.start(np.arange(3), np.zeros(3, dtype=np.int64))
+    state = simulator.snapshot()
+    for _ in range(4):
+        simulator.step(np.repeat(NAO.nominal[None], 3, axis=0))
+    now = simulator.snapshot()
+    for wrong in (state[:1], state[0], state[:2], state[:, 8:], state[:, :8], state.astype(np.float64)):
+        with pytest.raises(ValueError, match=r"state: expected bytes of 3 robots|snapshot: must be uint8"):
+            simulator.restore(wrong)
+        assert np.array_equal(simulator.snapshot(), now)
+    simulator.restore(state)
+    assert np.array_equal(simulator.snapshot(), state)

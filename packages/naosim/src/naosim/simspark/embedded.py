@@ -135,17 +135,21 @@ class EmbeddedSimulator(Simulator):
         return np.concatenate([state, *(np.ascontiguousarray(part).view(np.uint8) for part in parts)], axis=1)
 
     def restore(self, state: Bytes) -> None:
-        """Return to a snapshot."""
+        """Return to a snapshot.
+
+        Raises:
+            ValueError: if it is not a snapshot of the same number of these robots; nothing has changed then.
+        """
         self.require_open()
-        if self._vision is not None:
-            parts = (self._vision.counters, self._vision.seen)
-            ends = np.cumsum([part.strides[0] for part in parts])
-            first = state.shape[1] - ends[-1]
-            for part, end in zip(parts, ends, strict=True):
-                saved = np.ascontiguousarray(state[:, first + end - part.strides[0] : first + end])
-                part[:] = saved.view(part.dtype)
-            state = np.ascontiguousarray(state[:, :first])
-        self._engine.restore(state)
+        if state.ndim != 2 or len(state) != self.n:
+            raise ValueError(f"state: expected bytes of {self.n} robots, got shape {state.shape}")
+        parts = () if self._vision is None else (self._vision.counters, self._vision.seen)
+        ends = np.cumsum([0, *(part.strides[0] for part in parts)])
+        first = max(0, state.shape[1] - int(ends[-1]))
+        self._engine.restore(np.ascontiguousarray(state[:, :first]))
+        for part, start, end in zip(parts, ends, ends[1:], strict=False):
+            saved = np.ascontiguousarray(state[:, first + start : first + end])
+            part[:] = saved.view(part.dtype)
 
 
 def upward_forces(left: Floats, right: Floats) -> Floats:
