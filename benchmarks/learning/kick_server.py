@@ -152,7 +152,7 @@ def main() -> int:
     robot = robots.configured(spec.robot)
     rng = np.random.default_rng(options.seed)
     kind = kinds.get(options.simulator)
-    parameters = kind.parameters(robot)(name=options.simulator)
+    parameters = kind.parameters(robot)(name=options.simulator).for_evaluation()
     simulator = kind.open(robot, 1, parameters, RuntimeOptions(), Scene(ball=True))
     results = []
     try:

@@ -405,6 +405,10 @@ def test_evaluations_take_the_exact_engine_or_another() -> None:
         trained = spec_of(robot=robot)
         for engine in (None, "fast", "mujoco"):
             assert EvaluationSpec(engine=engine).applied_to(trained).simulator.engine == (engine or "mujoco")
+            # also where it was trained on a server
+            moved = EvaluationSpec(simulator="embedded", engine=engine)
+            setting = moved.applied_to(spec_of(robot=robot, simulator="server"))
+            assert (setting.simulator.name, setting.simulator.engine) == ("embedded", engine or "mujoco")
     for robot, engine, words in (
         ("t1", "quick", r"(?m)^engine\n  Input should be 'fast' or 'mujoco'"),
         ("nao-0", "fast", r"(?m)^engine\n  embedded with robot nao-0 has no such setting"),

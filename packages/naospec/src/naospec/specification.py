@@ -356,16 +356,18 @@ class EvaluationSpec(_Specification):
         if self.start_noise_deg is not None:
             content["task"] = {**content["task"], "start_noise_deg": self.start_noise_deg}
         if self.simulator is None or self.simulator == trained.simulator.name:
-            content["simulator"] = trained.simulator.for_evaluation().model_dump()
+            content["simulator"] = trained.simulator.model_dump()
         else:
             content["simulator"] = {"name": self.simulator}
         if self.engine is not None:
             content["simulator"] = {**content["simulator"], "engine": self.engine}
         try:
-            return TrainingSpec.model_validate(content)
+            applied = TrainingSpec.model_validate(content)
         except ValidationError as error:
             renamed = {path: name for path, name in _APPLIED.items() if getattr(self, name) is not None}
             raise _at((), error, renamed) from None
+        engine = {} if self.engine is None else {"engine": self.engine}
+        return applied.model_copy(update={"simulator": applied.simulator.for_evaluation().model_copy(update=engine)})
 
 
 _ALWAYS_WRITTEN = {"name", "preset"}

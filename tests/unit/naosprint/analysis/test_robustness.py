@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -58,8 +59,14 @@ def test_a_policy_is_examined_from_the_command_line(tmp_path: Path, capsys: pyte
     assert [path.name for path in tmp_path.iterdir()] == ["examination.json"], "the drawing showed other results"
 
 
-def test_a_running_robot_moves_faster_and_lands_harder_than_a_standing_one() -> None:
-    found = motion(naopolicies.folder("t1-sprint"), threads=1)
+def test_a_running_robot_moves_faster_and_lands_harder_than_a_standing_one(tmp_path: Path) -> None:
+    """Also if it was trained on servers, which report neither forces nor contacts."""
+    folder = shutil.copytree(naopolicies.folder("t1-sprint"), tmp_path / "policy")
+    manifest = naopolicies.checkpoint("t1-sprint")
+    spec = TrainingSpec.model_validate({**manifest["spec"], "simulator": "server"})
+    edited = {**manifest, "spec": spec.model_dump(mode="json"), "spec_sha256": spec.digest()}
+    (folder / "checkpoint.json").write_text(json.dumps(edited), encoding="utf-8")
+    found = motion(folder, threads=1)
     assert found["running"]["joint_speed_rad_s"] > 10 * found["standing"]["joint_speed_rad_s"] > 0.0
     assert found["running"]["foot_force_n"] > 3 * found["standing"]["foot_force_n"] > 100.0
     assert found["running"]["torque_at_limit"] > found["standing"]["torque_at_limit"]

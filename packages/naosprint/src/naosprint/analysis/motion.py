@@ -43,8 +43,8 @@ def motion(checkpoint: Path, threads: int = 2) -> dict[str, dict[str, float]]:
     policy, manifest = load_policy(checkpoint)
     if manifest.stage_spec.family != FAMILY:
         return {}
-    # contacts are read from MuJoCo's data, which the fast engine does not fill
-    spec = EvaluationSpec().applied_to(manifest.stage_spec)
+    # contacts are read from MuJoCo's data, which neither the fast engine nor a server fills
+    spec = EvaluationSpec(simulator="embedded").applied_to(manifest.stage_spec)
     environment = open_environment(spec, _EPISODES, threads=threads, seed=_SEED)
     try:
         task, noise_deg = environment.task, spec.task.start_noise_deg
