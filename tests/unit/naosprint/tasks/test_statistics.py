@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from naospec.metrics import Metric
+from naosprint.tasks.episodes import Statistics
 from naosprint.tasks.statistics import bootstrap_mean, median_ranks, wilson
 
 
@@ -42,6 +44,17 @@ def test_bootstrap_of_one_value_is_that_value() -> None:
     """There is nothing to resample."""
     interval = bootstrap_mean(np.array([3.0]), confidence=0.95, resamples=100, rng=np.random.default_rng(0))
     assert interval == (3.0, 3.0)
+
+
+def test_a_single_value_has_neither_interval_nor_spread() -> None:
+    """One of no width would say that it is certain; two values have both."""
+    metric, statistics = Metric("reach", "Reach"), Statistics(0.95, 100, 0)
+    for find in (statistics.mean, statistics.median):
+        one, two = find(metric, [3.0]), find(metric, [3.0, 5.0])
+        assert (one.value, one.low, one.high, one.episodes) == (3.0, 3.0, 3.0, 1)
+        assert (one.interval, one.sd) == (None, None)
+        assert two.interval == (3.0, 5.0)
+    assert statistics.mean(metric, [3.0, 5.0]).sd == 1.0
 
 
 def test_bootstrap_works_in_blocks() -> None:

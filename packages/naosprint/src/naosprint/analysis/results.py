@@ -53,7 +53,8 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     """Return the results of an evaluation document as a table for a terminal, the task's main results first."""
     where = ", ".join(str(summary[name]) for name in ("robot", "simulator", "engine") if summary.get(name))
     table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left", title_style="")
-    table.title = f"{summary['task']['name']}, {where}: {summary['episodes']:,} episodes"
+    number = summary["episodes"]
+    table.title = f"{summary['task']['name']}, {where}: {number:,} episode{'' if number == 1 else 's'}"
     table.add_column("Result")
     for heading in ("Value", f"{100.0 * summary['evaluation']['confidence']:g} % interval", "Spread"):
         table.add_column(heading, justify="right", no_wrap=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from naospec.metrics import Better, Metric, Result
 
-from naosprint.tasks.statistics import bootstrap_mean, median_ranks, wilson
+from naosprint.tasks.statistics import bootstrap_mean, median_ranks, spread, wilson
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -78,23 +78,27 @@ class Statistics:
         self._rng = np.random.default_rng([0xB007, seed])
 
     def mean(self, metric: Metric, values: FloatArray | Sequence[float]) -> Result:
-        """Return mean, spread, extremes and the bootstrap interval of the mean of one value per episode."""
+        """Return mean, spread, extremes and the bootstrap interval of the mean of one value per episode.
+
+        A single value has neither spread nor interval: resampled, it would only repeat itself.
+        """
         values = np.asarray(values, dtype=np.float64)
         if not len(values):
             return Result(metric, None)
+        # drawn in any case: the intervals of other results do not depend on how many values this one has
         interval = bootstrap_mean(values, confidence=self.confidence, resamples=self._resamples, rng=self._rng)
         return Result(
             metric,
             float(values.mean()),
-            sd=float(values.std()),
-            interval=interval,
+            sd=spread(values),
+            interval=interval if len(values) > 1 else None,
             low=float(values.min()),
             high=float(values.max()),
             episodes=len(values),
         )
 
     def median(self, metric: Metric, values: FloatArray | Sequence[float]) -> Result:
-        """Return the median of one value per episode, with the interval between two of the sorted values."""
+        """Return the median of one value per episode, with the interval between two of the sorted values, if any."""
         ordered = np.sort(np.asarray(values, dtype=np.float64))
         n = len(ordered)
         if not n:
@@ -103,7 +107,7 @@ class Statistics:
         return Result(
             metric,
             float(np.median(ordered)),
-            interval=(float(ordered[low]), float(ordered[high])),
+            interval=(float(ordered[low]), float(ordered[high])) if n > 1 else None,
             low=float(ordered[0]),
             high=float(ordered[-1]),
             episodes=n,

@@ -21,6 +21,7 @@ from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement
 from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.robot_defaults import robot_defaults
+from naosprint.tasks.statistics import spread
 from naosprint.tasks.world import World
 from naosprint.terms import source
 
@@ -297,7 +298,7 @@ class Sprint(Task[SprintSettings]):
                 episodes=top.episodes,
             ),
             Result(FASTEST, max((result.high or 0.0 for result in long), default=None), episodes=top.episodes),
-            Result(DEVIATION, float(deviation.mean()), sd=float(deviation.std()), episodes=len(deviation)),
+            Result(DEVIATION, float(deviation.mean()), sd=spread(deviation), episodes=len(deviation)),
             statistics.rate(LOW_AT_END, low_at_end),
             statistics.mean(FLIGHT, airborne),
             statistics.mean(CHALLENGE_SCORE, challenge[:, 0]),

@@ -14,6 +14,11 @@ if TYPE_CHECKING:
 _BLOCK = 4_000_000  # indices drawn at once, to bound memory
 
 
+def spread(values: FloatArray) -> float | None:
+    """Return the standard deviation of (k,) values; None of a single one."""
+    return float(values.std()) if len(values) > 1 else None
+
+
 def bootstrap_mean(
     values: FloatArray, *, confidence: float, resamples: int, rng: np.random.Generator
 ) -> tuple[float, float]:
