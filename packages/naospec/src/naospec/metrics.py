@@ -253,11 +253,14 @@ def _finite(value: float | None) -> float | None:
 
 
 def format_value(metric: Metric, value: float | None) -> str:
-    """Return a value with its unit as users see it: ``4.03 m/s``, ``0.4 %``, ``-`` if there is none."""
+    """Return a value with its unit as users see it: ``4.03 m/s``, ``0.4 %``, ``-`` if there is none.
+
+    What is rounded to zero has no sign.
+    """
     if value is None:
         return "-"
     if metric.unit == "%":
-        return f"{100.0 * value:.{metric.digits}f} %"
+        return f"{100.0 * value:z.{metric.digits}f} %"
     if metric.unit == "°":
-        return f"{value:.{metric.digits}f}°"
-    return f"{value:,.{metric.digits}f} {metric.unit}".rstrip()
+        return f"{value:z.{metric.digits}f}°"
+    return f"{value:z,.{metric.digits}f} {metric.unit}".rstrip()
