@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import naopolicies
 import pytest
 from naospec import EvaluationSpec, TrainingSpec, plugins
 from naospec.flat import OPTIONS, settings
@@ -80,6 +81,21 @@ def test_an_error_before_the_options_are_known_is_one_line(
     monkeypatch.setattr("naosprint.__main__.settings", fail)
     assert main(["policies"]) == 1
     assert capsys.readouterr().err == "error: swim: no water\n"
+
+
+def test_the_list_of_policies_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["policies"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    summaries = {line.split()[0]: naopolicies.card(line.split()[0])["summary"] for line in lines}
+    assert len({line.index(summaries[line.split()[0]]) for line in lines}) == 1
+
+
+def test_a_training_names_its_folder_as_it_is_called(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What looks like a style of the terminal, or the end of one, belongs to the name."""
+    for name in ("[v2]", "runs[", "runs[/v2]"):
+        with ConsoleReporter(tmp_path / name, TrainingSpec.model_validate({"total_steps": 256})) as reporter:
+            reporter.checkpoint(Path(name) / "step-000000000256", 256)
+        assert f"checkpoint at 256 steps: {name}/step-000000000256" in capsys.readouterr().err
 
 
 def test_train_takes_the_job_file_of_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

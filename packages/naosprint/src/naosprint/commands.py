@@ -371,6 +371,7 @@ def replay(options: argparse.Namespace) -> int:
 def policies(options: argparse.Namespace) -> int:
     """List bundled policies."""
     del options
+    width = max(map(len, naopolicies.names()), default=0)
     for name in naopolicies.names():
-        sys.stdout.write(f"{name:14} {naopolicies.card(name)['summary']}\n")
+        sys.stdout.write(f"{name:{width}} {naopolicies.card(name)['summary']}\n")
     return 0

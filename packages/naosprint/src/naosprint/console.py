@@ -91,7 +91,7 @@ class ConsoleReporter:
 
     def checkpoint(self, path: Path, step: int) -> None:
         """Show where a checkpoint is."""
-        self._console.print(f"checkpoint at {step:,} steps: {path}", highlight=False)
+        self._console.print(f"checkpoint at {step:,} steps: {path}", highlight=False, markup=False)
 
     def log(self, level: str, message: str) -> None:
         """Show a line."""
