@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -84,6 +85,18 @@ def test_the_same_seed_has_the_same_result_resumed_or_not(team: Team, tmp_path: 
     assert verify_checkpoint(alone).processes == 1
     assert verify_checkpoint(alone).steps == 1024
     assert verify_checkpoint(team.run(tmp_path / "again", "--total-steps", "1536", "--resume", alone)).processes == 2
+
+
+def test_what_has_grown_in_a_curriculum_stays_with_another_number_of_processes(team: Team, tmp_path: Path) -> None:
+    """Robots that only stand for two seconds succeed once in four updates; the next begins new episodes."""
+    grows = ("--disturbance-growth", "0.5", "--sensor-noise", "0.01", "--start-episode-fraction", "0.9")
+    stands = ("--learning-rate", "1e-9", "--initial-log-std", "-10")
+    before = team.run(tmp_path / "before", "--total-steps", "1024", *grows, *stands)
+    for size in (1, 4):
+        folder = tmp_path / f"{size}"
+        team.run(folder, "--total-steps", "1280", "--resume", before, size=size)
+        (row,) = map(json.loads, (folder / "metrics.jsonl").read_text(encoding="utf-8").splitlines())
+        assert row["disturbance_strength"] == 0.5
 
 
 def test_a_lost_process_ends_the_others_and_its_checkpoints_remain(team: Team, tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from naospec import TrainingSpec
 
     from naosprint.arrays import AnyArray
+    from naosprint.rl.checkpoint import Manifest
     from naosprint.rl.policy import Policy
     from naosprint.rl.reporter import Reporter
     from naosprint.tasks.environment import Environment
@@ -279,8 +280,9 @@ class _Session:
         expected = self._state()
         environment, file = None, ENVIRONMENT
         if manifest.processes != self.processes.size:
-            # other environments than those before; everything else continues
+            # the environments are shared out again; everything else continues
             learner |= {name: expected.learner[name] for name in self.learner.own_state}
+            environment = self._shared_out(directory, manifest, expected.environment)
         elif self.processes.rank > 0:
             file = process_file(self.processes.rank)
             own = read_file(directory, manifest, file)
@@ -328,6 +330,24 @@ class _Session:
                 f"total_steps is {after:,} instead of {before:,}, which schedules follow at once: {', '.join(jumps)}; "
                 "start from the policy instead of resuming for a schedule from its beginning",
             )
+
+    def _shared_out(
+        self, directory: Path, manifest: Manifest, expected: Mapping[str, AnyArray]
+    ) -> dict[str, AnyArray] | None:
+        """Return the arrays of this process's environments from those of all processes before, without snapshots."""
+        if ENVIRONMENT not in manifest.files:
+            return None
+        others = (process_file(rank) for rank in range(1, manifest.processes))
+        parts = [read_file(directory, manifest, file) for file in (ENVIRONMENT, *others)]
+        found = dict(_without_snapshot(expected))
+        for name, ours in found.items():
+            theirs = [part[name] for part in parts if name in part]
+            shapes = zip(theirs[0].shape, ours.shape, strict=False) if len(theirs) == len(parts) else ()
+            # the axis along which there is a number for each environment; what has none begins again
+            for axis in [axis for axis, (there, here) in enumerate(shapes) if there != here][:1]:
+                rows = np.array_split(np.concatenate(theirs, axis), self.processes.size, axis)
+                found[name] = rows[self.processes.rank]
+        return found
 
     def warm_start(self, directory: Path) -> None:
         """Start from the weights and observation statistics of the checkpoint in ``directory``."""
