@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _ROWS = (
     ("goals", "goals", "{:.2f}"),
@@ -26,25 +29,26 @@ def rows(results: dict[str, Any]) -> list[tuple[str, str, str]]:
         values = [form.format(means[name]) for means in results["means"]]
         if name == "goals":
             values = [
-                f"{value} [{low:.2f}, {high:.2f}]"
-                for value, (low, high) in zip(values, results["goals_interval"], strict=True)
+                value + _ends(interval, ".2f")
+                for value, interval in zip(values, results["goals_interval"], strict=True)
             ]
         found.append((words, values[0], values[1]))
     return found
 
 
+def _ends(interval: Sequence[float] | None, form: str) -> str:
+    """Return an interval to follow its value; empty without one, as of a single game's goals."""
+    return f" [{interval[0]:{form}}, {interval[1]:{form}}]" if interval else ""
+
+
 def sums(results: dict[str, Any]) -> list[str]:
     """Return wins and goal difference in two sentences."""
-    low, high = results["win_rate_interval"]
-    count = results["games"]
-    games = (
-        f"{count} {'game' if count == 1 else 'games'}: {results['wins']} won, {results['draws']} drawn, "
-        f"{results['losses']} lost; win rate {results['win_rate']:.2f} [{low:.2f}, {high:.2f}]"
-    )
-    low, high = results["goal_difference_interval"]
+    count, difference = results["games"], _ends(results["goal_difference_interval"], "+.2f")
+    level = " a game, 95 % intervals" if difference else ", 95 % interval of the win rate"
     return [
-        games,
-        f"goal difference {results['goal_difference']:+.2f} [{low:+.2f}, {high:+.2f}] a game, 95 % intervals",
+        f"{count} {'game' if count == 1 else 'games'}: {results['wins']} won, {results['draws']} drawn, "
+        f"{results['losses']} lost; win rate {results['win_rate']:.2f}{_ends(results['win_rate_interval'], '.2f')}",
+        f"goal difference {results['goal_difference']:+.2f}{difference}{level}",
     ]
 
 

@@ -98,6 +98,14 @@ def test_a_match_has_intervals_and_its_table_fits_a_terminal() -> None:
         match_results([game(), game(teams=("a", "b"))])
 
 
+def test_goals_of_a_single_game_have_no_interval() -> None:
+    results = match_results([game(goals=(2, 0))])
+    assert results["goals_interval"] == [None, None] and results["goal_difference_interval"] is None
+    lines = table(results).splitlines()
+    assert lines[1].split() == ["goals", "2.00", "0.00"]
+    assert lines[-1] == "goal difference +2.00, 95 % interval of the win rate"
+
+
 def test_a_log_read_again_gives_the_same_results(tmp_path: Path) -> None:
     log = game(goals=(1, 0))
     rng = np.random.default_rng(0)

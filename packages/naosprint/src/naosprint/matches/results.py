@@ -16,7 +16,7 @@ from naosprint.tasks.statistics import bootstrap_mean, wilson
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from naosprint.matches.log import GameLog
 
@@ -180,6 +180,8 @@ def _distance(log: GameLog, on_field: NDArray[Any], own: NDArray[Any]) -> float:
 def match_results(logs: Sequence[GameLog]) -> dict[str, Any]:
     """Return the results of a match as JSON has them: a list of games, and sums with 95 % intervals.
 
+    Goals and goal difference of a single game have no interval.
+
     Raises:
         ValueError: if the logs are of different teams, or there is none.
     """
@@ -196,9 +198,7 @@ def match_results(logs: Sequence[GameLog]) -> dict[str, Any]:
     means = [
         {name: float(np.mean([getattr(game[team], name) for game in games])) for name in names} for team in range(2)
     ]
-    intervals = [
-        bootstrap_mean(np.array([game[team].goals for game in games], float), **_bootstrap(rng)) for team in range(2)
-    ]
+    intervals = [_interval([game[team].goals for game in games], rng) for team in range(2)]
     return {
         "teams": list(teams),
         "games": n,
@@ -208,12 +208,16 @@ def match_results(logs: Sequence[GameLog]) -> dict[str, Any]:
         "win_rate": wins / n,
         "win_rate_interval": list(wilson(wins, n, _CONFIDENCE)),
         "goal_difference": float(difference.mean()),
-        "goal_difference_interval": list(bootstrap_mean(difference, **_bootstrap(rng))),
-        "goals_interval": [list(interval) for interval in intervals],
+        "goal_difference_interval": _interval(difference, rng),
+        "goals_interval": intervals,
         "means": means,
         "per_game": [[vars(team) for team in game] for game in games],
     }
 
 
-def _bootstrap(rng: np.random.Generator) -> dict[str, Any]:
-    return {"confidence": _CONFIDENCE, "resamples": _RESAMPLES, "rng": rng}
+def _interval(values: ArrayLike, rng: np.random.Generator) -> list[float] | None:
+    """Return the interval of the mean of a value a game; None of a single one, which resampled only repeats itself."""
+    values = np.asarray(values, float)
+    if len(values) < 2:
+        return None
+    return list(bootstrap_mean(values, confidence=_CONFIDENCE, resamples=_RESAMPLES, rng=rng))
