@@ -106,6 +106,14 @@ def test_goals_of_a_single_game_have_no_interval() -> None:
     assert lines[-1] == "goal difference +2.00, 95 % interval of the win rate"
 
 
+def test_who_had_the_ball_at_half_time_does_not_have_it_in_the_second_half() -> None:
+    log = game()
+    log.torso_m[200:250, 0, 0] = -0.5
+    log.torso_m[400:, 1, 0] = 0.5
+    ours, theirs = game_results(log)
+    assert (ours.possession, theirs.possession) == (pytest.approx(1 / 3), pytest.approx(2 / 3))
+
+
 def test_a_log_read_again_gives_the_same_results(tmp_path: Path) -> None:
     log = game(goals=(1, 0))
     rng = np.random.default_rng(0)

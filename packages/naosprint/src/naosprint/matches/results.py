@@ -108,14 +108,14 @@ def _cpu_ms(log: GameLog, team: int) -> float:
 
 
 def _holders(log: GameLog, team_of: NDArray[Any], on_field: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return (T,) the team whose robot was the last to have the ball, and the nearest robot; -1 for none."""
+    """Return (T,) the team whose robot was the last to have the ball in the half, and the nearest; -1 for none."""
     apart = np.hypot(*np.moveaxis(log.torso_m[..., :2] - log.ball_m[:, None, :2], -1, 0))
     apart = np.where(on_field, apart, np.inf)
     nearest = apart.argmin(axis=1)
     distance = apart[np.arange(len(apart)), nearest]
     holder = np.where(distance <= _NEAR_M, team_of[nearest], -1)
     changes = np.maximum.accumulate(np.where(holder >= 0, np.arange(len(holder)), -1))
-    holder = np.where(changes >= 0, holder[changes], -1)
+    holder = np.where(changes >= np.searchsorted(log.half, log.half), holder[changes], -1)
     return holder, np.where(distance <= _REACH_M, nearest, -1)
 
 
