@@ -103,6 +103,27 @@ def test_an_agent_enters_as_its_own_player_alone(tmp_path: Path) -> None:
     assert log.present.all() and log.notes["halves"][0]["lost"] == []
 
 
+def test_a_game_waits_for_slow_players_of_the_team_that_is_started_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its second player enters only when all of the other team are on the field."""
+    wait = "while sys.argv[3:5] == ['left', '2'] and not os.path.exists('go'):\n    time.sleep(0.01)"
+    folder = write_team(tmp_path / "slow", f"import os, sys, time\n{wait}\n{ENTERING}")
+
+    class Opened(AgentEndpoints):
+        def entered(self) -> set[Player]:
+            found = super().entered()
+            if {("right", 1), ("right", 2)} <= found:
+                (folder / "go").touch()
+            return found
+
+    monkeypatch.setattr(game, "AgentEndpoints", Opened)
+    teams = read_team(folder), entering(tmp_path / "other")
+    log = play_game(teams, ("a", "b"), 0, GameSettings(players=2, half_s=1.0))
+    assert [half["lost"] for half in log.notes["halves"]] == [[], []]
+    assert log.present.all()
+
+
 def test_a_team_that_enters_under_another_name_is_told_what_to_send(tmp_path: Path) -> None:
     team = entering(tmp_path / "misnamed", "red 1")
     with pytest.raises(TeamFailedError, match=r"it began with '\(init T1 red 1\)', not with \(init MODEL left 1\)"):

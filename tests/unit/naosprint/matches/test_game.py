@@ -8,9 +8,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from naosim.launchers import Address
+from naosprint.matches.agents import AgentProcess, Limits
 from naosprint.matches.endpoints import AgentEndpoints
 from naosprint.matches.game import GameSettings, ServerFailedError, _Half
-from naosprint.matches.stream import Frame
+from naosprint.matches.stream import PLAY_MODES, Frame
 from naosprint.matches.teams import Team
 
 
@@ -43,4 +44,20 @@ def test_a_half_ends_when_its_servers_time_stands_still_or_goes_back(
             with pytest.raises(ServerFailedError, match=f"its time is {times_s[frames]:g} s after {max(times_s):g} s"):
                 half._next(monitor, endpoints, 1.0)
     finally:
+        endpoints.close()
+
+
+def test_a_player_that_never_came_was_not_dropped(tmp_path: Path) -> None:
+    """Its agent runs, and has not connected."""
+    team, player = Team(tmp_path, ("sleep", "600")), ("left", 1)
+    half = _Half((team, team), ("a", "b"), 0, 0, GameSettings(start_s=2.0), (0, 0), has_to_come=True)
+    half._endpoints = endpoints = AgentEndpoints(Address("127.0.0.1", 9, 10), {player: False})
+    half._agents[player] = agent = AgentProcess(team, *player, 1, endpoints.address(player), Limits())
+    frame = Frame(0.04, 0.0, PLAY_MODES.index("PlayOn"), (0, 0), np.zeros(3), {})
+    try:
+        half._look(frame)
+        assert [each["reason"] for each in half._lost] == ["did not enter the field in 2 s"]
+        assert not agent.alive()
+    finally:
+        agent.stop()
         endpoints.close()

@@ -288,8 +288,9 @@ class _Half:
         return frame
 
     def _enter(self, monitor: GameMonitor, endpoints: AgentEndpoints) -> Frame:
-        """Start the agents, the left team's first; return the frame in which all that come are on the field."""
+        """Start the agents, the left team's first; return the frame in which all have been on the field that come."""
         frame = self._next(monitor, endpoints, self._settings.start_s)
+        came: set[Player] = set()  # one that the server has dropped since does not come again
         for team in self._order:
             name = self._names[team]
             for number in range(1, self._settings.players + 1):
@@ -298,14 +299,13 @@ class _Half:
             deadline = time.monotonic() + self._settings.start_s
             while True:
                 frame = self._next(monitor, endpoints, deadline - time.monotonic() + _QUIET_S)
-                here = {player for player in frame.bodies if player[0] == name}
+                here = any(side == name for side, _ in frame.bodies)
+                came |= frame.bodies.keys()
                 coming = {
-                    player
-                    for player, agent in self._agents.items()
-                    if player[0] == name and agent.alive() and not self._refusal(player)
+                    player for player, agent in self._agents.items() if agent.alive() and not self._refusal(player)
                 }
                 late = time.monotonic() > deadline
-                if not here and (late or not coming):
+                if not here and (late or not any(side == name for side, _ in coming)):
                     if not self._has_to_come and (frame.bodies or not last):
                         if not last:
                             self._left = self._order[1]  # the team that enters first plays on the left
@@ -313,7 +313,7 @@ class _Half:
                     first = name, 1
                     words = self._agents[first].describe() + (self._refusal(first) or endpoints.refused(first))
                     raise TeamFailedError(f"team {'AB'[team]}: no player entered the field; player 1: {words}")
-                if here and (late or not last or coming <= set(frame.bodies)):
+                if here and (late or not last or coming <= came):
                     break
         return frame
 
@@ -341,8 +341,7 @@ class _Half:
                 continue
             if refusal or player not in frame.bodies or not alive:
                 side, number = player
-                ended = "dropped by the server after 5 s without a message" if alive else agent.describe()
-                reason = refusal or ended
+                reason = refusal or (self._absence(player) if alive else agent.describe())
                 team, clock_s = self._names.index(side), self._clock_s(frame)
                 self._lost.append({"side": side, "team": team, "number": number, "clock_s": clock_s, "reason": reason})
                 if alive:
@@ -353,6 +352,13 @@ class _Half:
                 agent.note_cpu(used_s)
             self._cpu_at = time.monotonic()
         self._cpu_cycles = round(frame.time_s / 0.02)
+
+    def _absence(self, player: Player) -> str:
+        """Return why a player is not on the field whose agent runs."""
+        assert self._endpoints is not None
+        if player in self._endpoints.entered():
+            return "dropped by the server after 5 s without a message"
+        return f"did not enter the field in {self._settings.start_s:g} s{self._endpoints.refused(player)}"
 
     def _refusal(self, player: Player) -> str:
         """Return why the endpoint of a player closed its connection, to follow other words; empty if it did not."""
