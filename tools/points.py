@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -12,7 +13,7 @@ class Point:
     Attributes:
         command: what the robot has to do.
         name: what is measured.
-        value: the measurement.
+        value: the measurement; None if there is none, or it is not finite, as no number of JSON is.
         bound: its bound, with the sign of the side that passes.
         passed: whether it passes.
     """
@@ -32,9 +33,15 @@ class Point:
 
 def at_least(command: str, name: str, value: float | None, bound: float) -> Point:
     """Return a point that large values pass."""
+    value = _finite(value)
     return Point(command, name, value, f">= {bound:g}", value is not None and value >= bound)
 
 
 def at_most(command: str, name: str, value: float | None, bound: float) -> Point:
     """Return a point that small values pass."""
+    value = _finite(value)
     return Point(command, name, value, f"<= {bound:g}", value is not None and value <= bound)
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

@@ -62,6 +62,17 @@ def test_a_program_says_in_a_line_what_it_cannot_do(command: str, prints: str, t
     assert "Traceback" not in run.stderr
 
 
+def test_a_gate_writes_its_points_also_of_robots_that_fell() -> None:
+    """The speed after a stop has no median if half of them fell before."""
+    points = "[at_most('stop', 'speed', float('inf'), 0.25), at_least('run', 'speed', float('nan'), 2.0)]"
+    program = (
+        "import dataclasses\nfrom naospec.json_text import json_text\nfrom points import at_least, at_most\n"
+        f"for point in {points}:\n    print(json_text(dataclasses.asdict(point)), point)"
+    )
+    run = subprocess.run([sys.executable, "-c", program], cwd=ROOT / "tools", capture_output=True, text=True)
+    assert run.stdout.count('"value": null') == run.stdout.count("FAIL") == 2, run.stderr
+
+
 def test_a_motion_is_written_to_the_folder_that_is_given(tmp_path: Path) -> None:
     command = [sys.executable, str(ROOT / "tools/getup_motion.py"), "--sides", "front", "--minutes", "0.0001"]
     run = subprocess.run([*command, "--output", str(tmp_path / "motions")], capture_output=True, text=True)
