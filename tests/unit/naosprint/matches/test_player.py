@@ -158,6 +158,17 @@ def test_a_keeper_keeps_shots_at_its_goal_only(code: Any) -> None:
     assert keeper.shot_is_over()
 
 
+@pytest.mark.parametrize(("far", "goes"), [(0.6, False), (6.0, True)], ids=["taken", "not taken in time"])
+def test_who_takes_a_set_piece_does_not_touch_the_ball_next(code: Any, far: float, goes: bool) -> None:
+    """A player that was still on its way when the time was over may."""
+    player = code.Player(code.FOLDER, "A", 2, 2)
+    player.world.side, player.mode, player.world.mode = 1.0, "KickIn_Left", "PlayOn"
+    place(player, (5.0 - far, 0.0), 0.0, (5.0, 0.0))
+    player.world.robots[True, 1] = (np.array([-26.0, 0.0]), player.world.now)
+    player.note_set_piece()
+    assert bool(player.is_striker()) == goes
+
+
 def test_a_ball_that_the_referee_moves_has_no_velocity(code: Any, player: Any) -> None:
     world = player.world
     world.angles, world.position, world.rotation = np.zeros(len(player.joints)), np.array([0.0, 0.0, 0.6]), np.eye(3)

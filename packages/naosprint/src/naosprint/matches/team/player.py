@@ -47,7 +47,7 @@ BRAKE_MPS2, BRAKE_BEFORE_M = 1.5, 0.6  # how the walker slows down, and how far 
 SIDESTEP_M, SIDESTEP_M_PER_RAD = 0.7, 0.5  # nearer than this, and farther for what is left to turn, it sidesteps
 WALK_PER_S, TURN_PER_S, STEP_BACK_MPS = 1.5, 2.5, 0.4  # speeds for distances and angles to go, and backward
 LOOK_DOWN, LOOK_AHEAD = 0.6, 0.25  # pitch of the head
-TOUCHED = 200.0  # cost of touching the ball twice
+TOUCHED, TAKEN_M = 200.0, 2.0  # cost of touching the ball twice; who takes a set piece is at most so far from the ball
 SAY_CYCLES, SAYS = 20, struct.Struct("<Bhhhhb")  # who, own place and that of the ball in cm, age of the latter in 0.1 s
 ROOM_M, WARNING_M = 0.9, 1.8  # how far from others the player walks, and from what distance on it makes a detour
 
@@ -252,7 +252,7 @@ class Player:
         """Return whether this player goes to the ball: the nearest does, the keeper only near its goal."""
         world = self.world
         own = self.cost(self.number, world.position[:2])
-        return own < TOUCHED and all(own <= self.cost(number, place) for number, place in world.mates().items())
+        return own < TOUCHED / 2 and all(own <= self.cost(number, place) for number, place in world.mates().items())
 
     def cost(self, number, place):
         """Return how far a player of the team is from kicking the ball."""
@@ -267,7 +267,7 @@ class Player:
         return cost
 
     def note_set_piece(self):
-        """Note who has taken a set piece of ours."""
+        """Note who has taken a set piece of ours; nobody has if its time is over."""
         world = self.world
         self.taker = None
         if (
@@ -278,8 +278,10 @@ class Player:
             own = (world.side > 0) == self.mode.lower().endswith("left")
             places = {**world.mates(), self.number: world.position[:2]}
             if own and not self.mode.startswith("Goal_"):
-                self.taker = min(places, key=lambda number: np.hypot(*(places[number] - world.ball)))
-                self.taken_at = world.now
+                apart = {number: np.hypot(*(place - world.ball)) for number, place in places.items()}
+                nearest = min(apart, key=apart.__getitem__)
+                if apart[nearest] < TAKEN_M:
+                    self.taker, self.taken_at = nearest, world.now
 
     def home(self):
         """Return where the player stands at a kick-off."""
