@@ -86,7 +86,10 @@ def check_make(words: list[str]) -> None:
 def check_python(words: list[str]) -> None:
     modules = {"naosprint": naosprint_parser, "naosim": naosim_parser, "naojobs": naojobs_parser}
     if words[0] == "-m":
-        modules[words[1]]().parse_args(words[2:])
+        options = modules[words[1]]().parse_args(words[2:])
+        checkpoint = getattr(options, "checkpoint", None)
+        if isinstance(checkpoint, str) and "/" in checkpoint:
+            assert re.fullmatch("(step|checkpoint)-[0-9]{12}", Path(checkpoint).name), f"{checkpoint}: no checkpoint"
     else:
         assert (ROOT / words[0]).is_file(), f"there is no {words[0]}"
         source = (ROOT / words[0]).read_text(encoding="utf-8")
