@@ -16,7 +16,7 @@ from naoctl.commands.submit import make_body, make_group, submit
 from naoctl.errors import ExitCode, InvalidInput
 from naoctl.specflags import build, spec_parameters, training_settings, with_parameters
 from naospec import EvaluationSpec, TrainingSpec, flat, plugins
-from naospec.flags import choices_of, flag_name, parse_flags
+from naospec.flags import choices_of, flag_name, help_text, metavar, parse_flags
 from naospec.flat import Setting, settings_of
 from naosprint.__main__ import _given, _parser, main
 from pydantic import ValidationError
@@ -95,6 +95,56 @@ def test_a_plugins_setting_is_reached_under_its_prefixed_name(
     assert grid is not None and grid["grid"] == {"task_seed": [2, 3], "seed": [1, 2]}
     search = make_search(["task-seed=2..3", "seed=1..5"], [])
     assert set(search["space"]) == {"task_seed", "seed"}
+
+
+TWO_DECLARATIONS = """
+from naosprint.tasks import Task, TaskSettings
+from pydantic import Field
+
+
+class LowSettings(TaskSettings):
+    limit_m: float = Field(default=1.0, le=2.0, description="Lowest height.")
+    sizes: float = Field(default=0.5, description="Size of the box.")
+    marked: int = Field(default=1, description="Marks.")
+
+
+class alow(Task[LowSettings]):
+    name = summary = "alow"
+    Parameters = LowSettings
+
+
+class HighSettings(TaskSettings):
+    limit_m: float | None = Field(default=None, description="Greatest height.")
+    sizes: list[int] = Field(default=[1], description="Sizes of the steps.")
+    marked: bool = Field(default=False, description="Whether it is marked.")
+
+
+class high(Task[HighSettings]):
+    name = summary = "high"
+    Parameters = HighSettings
+"""
+
+
+def test_a_setting_of_two_plugins_is_read_as_the_chosen_one_declares_it(
+    install: Callable[[str, str, Mapping[str, str]], None],
+) -> None:
+    install("heights", TWO_DECLARATIONS, {"alow": plugins.TASKS, "high": plugins.TASKS})
+    flags = {"limit_m": "none", "sizes": "64,32", "marked": "true"}
+    expected = {"limit_m": None, "sizes": [64, 32], "marked": True}
+    for file, given in (({}, {"task": "high", **flags}), ({"spec": {"task": {"name": "high"}}}, flags)):
+        body = make_body(file, given, {})
+        assert {name: body["spec"]["task"][name] for name in flags} == expected
+    assert condition_values(["limit_m=none", "sizes=64"], "high") == {"limit_m": None, "sizes": [64]}
+    grid = make_group(body, None, ["limit_m=none,2"])
+    assert grid is not None and grid["grid"] == {"limit_m": [None, 2.0]}
+    assert make_search(["marked=true|false"], [], base=body["spec"])["space"]["marked"]["choices"] == [True, False]
+    known = training_settings()
+    assert help_text(known["limit_m"]) == "Lowest height. [at most 2] (task alow) Greatest height. (task high)"
+    assert metavar(known["limit_m"]) == "NUMBER|none" and metavar(known["marked"]) == "INTEGER|true|false"
+    output = CliRunner().invoke(build_app(), ["spec", "limit_m", "--json"]).output
+    assert [(each["only_for"], each["bounds"]) for each in json.loads(output)] == [
+        (["task alow"], "at most 2"), (["task high"], "")
+    ]  # fmt: skip
 
 
 def test_help_shows_each_field_with_its_description_and_bounds() -> None:
@@ -240,7 +290,7 @@ def test_both_programs_read_every_setting_alike(monkeypatch: pytest.MonkeyPatch)
         line = [word for _, words, _ in chosen.values() for word in words]
         params = submit_command.make_context("submit", [*line]).params
         read = parse_flags(known, {name: params[name] for name in known})
-        assert read == _given(parser.parse_args(["train", "work", *line]))
+        assert read == parse_flags(known, _given(parser.parse_args(["train", "work", *line])))
         for name, (start, words, spec) in chosen.items():
             written = (name, repr(read[name]))
             if written not in specs:
@@ -279,9 +329,12 @@ def test_a_word_after_a_switch_may_be_an_argument(tmp_path: Path) -> None:
         done = CliRunner().invoke(build_app("submit"), ["submit", "--dry-run", *line])
         assert json.loads(done.stdout)["spec"]["algorithm"]["symmetric_policy"] is value
         options = _parser().parse_args(["train", *line])
-        assert (options.workdir, _given(options)) == (file, {"symmetric_policy": value})
+        assert (options.workdir, parse_flags(options.settings, _given(options))) == (file, {"symmetric_policy": value})
     options = _parser().parse_args(["evaluate", "--no-deterministic", "sprint", "--episodes", "1k"])
-    assert (options.checkpoint, _given(options)) == ("sprint", {"deterministic": False, "episodes": 1000})
+    assert (options.checkpoint, parse_flags(options.settings, _given(options))) == (
+        "sprint",
+        {"deterministic": False, "episodes": 1000},
+    )
     flags = get_command(build_app("eval")).commands["eval"].make_context("eval", ["--deterministic", "no", "last"])  # type: ignore[attr-defined]
     assert (flags.params["job"], flags.params["eval_deterministic"]) == ("last", False)
 

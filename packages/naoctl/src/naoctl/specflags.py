@@ -59,7 +59,7 @@ def spec_parameters(
         choices = setting.choices or choices_of(info)
         annotation: Any = str | None
         declarations = [*ALIASES.get(field, ()), name]
-        if info.annotation is bool:
+        if setting.is_switch:
             annotation = bool | None
             declarations = [f"{name}/--no-{name[2:]}"]
         option: OptionInfo = typer.Option(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from naospec.flat import settings
+from naospec.flat import as_chosen, settings
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -42,16 +42,24 @@ def flag_name(field: str, prefix: str = "") -> str:
 # --- values ---------------------------------------------------------------------------------------------------------
 
 
-def parse_flags(settings: Mapping[str, Setting], flags: Mapping[str, Any], *, prefix: str = "") -> dict[str, Any]:
+def parse_flags(
+    settings: Mapping[str, Setting],
+    flags: Mapping[str, Any],
+    *,
+    prefix: str = "",
+    base: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
     """Return the values of flags by short name; what is no text is a value already.
 
     Args:
         settings: settings by short name.
         flags: what was given, by short name with the prefix.
         prefix: prefix of the flags.
+        base: specification that the values are inserted into; its plug-ins decide how a value is read if no flag does.
     """
     given = {name.removeprefix(prefix): raw for name, raw in flags.items()}
-    return {name: read_value(raw, settings[name].info) if isinstance(raw, str) else raw for name, raw in given.items()}
+    known = as_chosen(settings, {**(base or {}), **given})
+    return {name: read_value(raw, known[name].info) if isinstance(raw, str) else raw for name, raw in given.items()}
 
 
 def read_value(text: str, info: FieldInfo) -> Any:
@@ -247,11 +255,18 @@ def choices_of(info: FieldInfo) -> tuple[str, ...]:
 
 def metavar(setting: Setting) -> str:
     """Return the placeholder of a setting's value: ``NAME``, ``INTEGER``, ``2|3|none``; empty for a switch."""
-    info, choices = setting.info, choices_of(setting.info)
     if setting.choices:
         return "NAME"
-    if info.annotation is bool:
+    if setting.is_switch:
         return ""
+    words = (word for each in setting.declarations() for word in _placeholder(each.info).split("|"))
+    return "|".join(dict.fromkeys(words))
+
+
+def _placeholder(info: FieldInfo) -> str:
+    choices = choices_of(info)
+    if info.annotation is bool:
+        return "true|false"
     if choices:
         return "|".join(choices)
     kinds = _kinds(info.annotation)
@@ -282,12 +297,14 @@ def limits_text(info: FieldInfo) -> str:
 
 def help_text(setting: Setting) -> str:
     """Return what a setting is, its choices, its bounds and the plug-ins that have it."""
-    info = setting.info
-    text = info.description or info.title or ""
-    if setting.choices:
-        text += f" One of {', '.join(setting.choices)}."
-    if limits := limits_text(info):
-        text += f" [{limits}]"
-    if setting.plugins:
-        text += f" ({setting.path[0]} {', '.join(setting.plugins)})"
-    return text
+    texts = []
+    for each in setting.declarations():
+        text = each.info.description or each.info.title or ""
+        if each.choices:
+            text += f" One of {', '.join(each.choices)}."
+        if limits := limits_text(each.info):
+            text += f" [{limits}]"
+        if each.plugins:
+            text += f" ({each.path[0]} {', '.join(each.plugins)})"
+        texts.append(text.strip())
+    return " ".join(texts)

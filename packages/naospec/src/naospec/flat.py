@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from naospec import plugins
-from naospec.fields import TrainingFields
+from naospec.fields import DEFAULTS, TrainingFields
 from naospec.sections import as_mapping, is_built_in, variants
 from naospec.settings import RuntimeSettings
 
@@ -47,6 +47,8 @@ class Setting:
         info: its field.
         plugins: plug-ins that have it; empty if every specification has it.
         choices: names to choose from, for the sections' names.
+        declared: fields of plug-ins that declare it themselves, by plug-in; ``info`` is the first of them, or the
+            project's.
     """
 
     name: str
@@ -54,6 +56,22 @@ class Setting:
     info: FieldInfo
     plugins: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
+    declared: Mapping[str, FieldInfo] = field(default_factory=dict)
+
+    @property
+    def is_switch(self) -> bool:
+        """Whether it is true or false in every plug-in that has it."""
+        return all(info.annotation is bool for info in (self.info, *self.declared.values()))
+
+    def declarations(self) -> list[Setting]:
+        """Return it once for each way in which plug-ins declare it, with these plug-ins."""
+        found: dict[str, Setting] = {}
+        for plugin in self.plugins:
+            info = self.declared.get(plugin, self.info)
+            way = repr((info.annotation, info.metadata, info.title, info.description, info.json_schema_extra))
+            owners = (*found[way].plugins, plugin) if way in found else (plugin,)
+            found[way] = replace(self, info=info, plugins=owners, declared={})
+        return list(found.values()) or [self]
 
 
 def settings() -> dict[str, Setting]:
@@ -83,8 +101,27 @@ def settings() -> dict[str, Setting]:
         for each in fields[section].values():
             name, everyone = names[section, each.name], len(each.plugins) == len(choices)
             owners = () if everyone else tuple(each.plugins)
-            found[name] = Setting(name, (section, each.name), each.info, owners)
+            found[name] = Setting(name, (section, each.name), each.info, owners, declared=each.declared)
     return found | {names[path]: Setting(names[path], path, info) for path, info in outer.items()}
+
+
+def as_chosen(known: Mapping[str, Setting], spec: Mapping[str, Any]) -> dict[str, Setting]:
+    """Return settings as the plug-ins that a specification names declare them; several may have one of the same name.
+
+    Args:
+        known: settings by short name.
+        spec: specification as a user wrote it.
+    """
+    sections = {section: as_mapping(spec.get(section)) for section in GROUPS}
+    names = DEFAULTS | {key: section["name"] for key, section in sections.items() if _has_name(section)}
+    return {
+        name: replace(setting, info=setting.declared.get(names.get(setting.path[0], ""), setting.info))
+        for name, setting in known.items()
+    }
+
+
+def _has_name(section: object) -> bool:
+    return isinstance(section, dict) and isinstance(section.get("name"), str)
 
 
 def settings_of(model: type[BaseModel], *, leave_out: Iterable[str] = ()) -> dict[str, Setting]:
@@ -101,6 +138,7 @@ class _Field:
     info: FieldInfo
     built_in: bool
     plugins: list[str] = field(default_factory=list)
+    declared: dict[str, FieldInfo] = field(default_factory=dict)
 
 
 def _fields(models: Iterable[tuple[str, type[Section], tuple[str, ...]]]) -> dict[str, _Field]:
@@ -114,6 +152,8 @@ def _fields(models: Iterable[tuple[str, type[Section], tuple[str, ...]]]) -> dic
             known = found.setdefault(name, _Field(name, info, built_in))
             if built_in and not known.built_in:
                 known.info, known.built_in = info, True
+            if not built_in:
+                known.declared.setdefault(plugin, info)
             if plugin not in known.plugins:
                 known.plugins.append(plugin)
     return found

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from naospec import EvaluationSpec, TrainingSpec, recipes
 from naospec.arguments import ArgumentParser
 from naospec.files import named_errors
-from naospec.flags import ALIASES, FlagError, explain, flag_name, help_text, parse_flags, read_switches
+from naospec.flags import ALIASES, FlagError, explain, flag_name, help_text, read_switches
 from naospec.flat import settings, settings_of
 from pydantic import ValidationError
 from pydantic_core import PydanticUndefined
@@ -220,19 +220,20 @@ def _add_settings(parser: _CommandParser, model: type[BaseModel], known: Mapping
         heading = setting.path[0] if len(setting.path) == 2 else title
         if heading not in groups:
             groups[heading] = parser.add_argument_group(heading)
-        text, default = help_text(setting), setting.info.default
+        text, ways = help_text(setting), setting.declarations()
+        default = setting.info.default if len(ways) == 1 else None
         if default is not None and default is not PydanticUndefined:
             text += f" (default: {','.join(map(str, default)) if isinstance(default, tuple) else default})"
         flags, dest = (*ALIASES.get(name, ()), flag_name(name)), f"setting_{name}"
         groups[heading].add_argument(*flags, type=str, dest=dest, metavar="VALUE", help=text.replace("%", "%%"))
-    parser.switches = [flag_name(name) for name, setting in known.items() if setting.info.annotation is bool]
+    parser.switches = [flag_name(name) for name, setting in known.items() if setting.is_switch]
     parser.set_defaults(model=model, settings=known)
 
 
-def _given(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the settings that were given as options, by short name."""
+def _given(options: argparse.Namespace) -> dict[str, str]:
+    """Return the texts of the settings that were given as options, by short name."""
     texts = {name: getattr(options, f"setting_{name}") for name in options.settings}
-    return parse_flags(options.settings, {name: text for name, text in texts.items() if text is not None})
+    return {name: text for name, text in texts.items() if text is not None}
 
 
 def _seconds(text: str) -> float:

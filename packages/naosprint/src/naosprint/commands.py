@@ -19,7 +19,7 @@ import naopolicies
 from naosim.simulator import STEP_S
 from naospec import EvaluationSpec, TrainingSpec, recipes
 from naospec.files import drop, replacing, together, write_whole
-from naospec.flags import flag_name
+from naospec.flags import flag_name, parse_flags
 from naospec.flat import nest
 from naospec.job_files import JOB_FIELDS, load_job_file
 
@@ -88,7 +88,7 @@ def _job_of(path: Path) -> dict[str, Any]:
 
 def train(options: argparse.Namespace) -> int:
     """Train a policy; Ctrl-C saves a checkpoint and ends the training."""
-    given = options.given
+    given: Mapping[str, Any] = options.given
     base: Mapping[str, Any] = {}
     policy = options.from_policy
     if options.recipe is not None or options.spec is not None:
@@ -110,6 +110,7 @@ def train(options: argparse.Namespace) -> int:
             flag, value = flag_name(differing[0]), fixed[differing[0]]
             raise ValueError(f"{flag}: a training that is resumed keeps {value}; start another one: --from-policy")
         base, policy = base or resumed, None  # it has begun: the policy that it started from is behind it
+    given = parse_flags(options.settings, given, base=base)
     spec = TrainingSpec.model_validate(nest(given, base))
     for sentence in spec.without_effect():
         _warn(sentence)
@@ -166,7 +167,7 @@ def _require_own_folder(workdir: Path, spec: TrainingSpec) -> None:
 
 def evaluate(options: argparse.Namespace) -> int:
     """Run episodes with a policy and print the results."""
-    spec = EvaluationSpec.model_validate(options.given)
+    spec = EvaluationSpec.model_validate(parse_flags(options.settings, options.given))
     checkpoint = naopolicies.resolve(options.checkpoint)
     _usable(options.output, folder=True)
 
@@ -343,7 +344,8 @@ def export(options: argparse.Namespace) -> int:
 
 def replay(options: argparse.Namespace) -> int:
     """Run one episode; write replay.json, replay.npz and the film replay.mp4."""
-    spec = EvaluationSpec.model_validate({**options.given, "episodes": 1})
+    given = parse_flags(options.settings, options.given)
+    spec = EvaluationSpec.model_validate({**given, "episodes": 1})
     checkpoint = naopolicies.resolve(options.checkpoint)
     _usable(options.output, folder=True)
 

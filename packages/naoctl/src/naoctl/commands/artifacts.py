@@ -17,6 +17,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from naospec import EvaluationSpec
 from naospec.flags import parse_flags, read_value
+from naospec.flat import as_chosen
 from pydantic.fields import FieldInfo
 from rich.progress import (
     BarColumn,
@@ -431,7 +432,7 @@ def evaluate(
             body["spec"] = build(EvaluationSpec, values, from_flags=from_flags).model_dump(mode="json")
         if conditions:
             name = last_task(found["spec"])
-            body["spec"] = {**body.get("spec", {}), "task": {"name": name, **condition_values(conditions)}}
+            body["spec"] = {**body.get("spec", {}), "task": {"name": name, **condition_values(conditions, name)}}
         asked = hand_in(client, f"/jobs/{found['id']}/evaluations", body, key)
         if wait:
             try:
@@ -446,13 +447,14 @@ def evaluate(
         raise typer.Exit(EXIT_CODES[asked["state"]])
 
 
-def condition_values(conditions: Sequence[str] | None) -> dict[str, Any]:
+def condition_values(conditions: Sequence[str] | None, task: str = "") -> dict[str, Any]:
     """Return settings of a task by name, read as their flags are; those of tasks that are only at the service, as JSON.
 
     Raises:
         InvalidInput: if one is not NAME=VALUE.
     """
-    known = {setting.path[1]: setting.info for setting in training_settings().values() if setting.path[0] == "task"}
+    settings = as_chosen(training_settings(), {"task": task} if task else {}).values()
+    known = {setting.path[1]: setting.info for setting in settings if setting.path[0] == "task"}
     found: dict[str, Any] = {}
     for text in conditions or ():
         name, sign, value = text.partition("=")

@@ -60,22 +60,25 @@ def spec(
     known = {name: setting for settings in sections.values() for name, setting in settings.items()}
     wanted = None if field is None else field.strip().lstrip("-").replace("-", "_")
     # A training and its evaluation may have settings of the same name; both are explained.
-    meant = {name: setting for name, setting in known.items() if wanted in (name, ".".join(setting.path))}
+    # So are plug-ins that declare one of the same name in different ways.
+    named = {name: setting for name, setting in known.items() if wanted in (name, ".".join(setting.path))}
+    meant = [(name, each) for name, setting in named.items() for each in setting.declarations()]
+    listed = list(known.items())
     if wanted is None:
         chosen = sections
     elif wanted in sections:
         chosen = {wanted: sections[wanted]}
     elif meant:
-        chosen, known = {}, meant
+        chosen, listed = {}, meant
     else:
         raise InvalidInput(f"There is no setting {field!r}", fix="`naoctl spec` lists the settings.")
     if as_json:
-        shown = known if not chosen else {n: s for settings in chosen.values() for n, s in settings.items()}
-        context.json([describe(name, setting) for name, setting in shown.items()])
+        shown = listed if not chosen else [each for settings in chosen.values() for each in settings.items()]
+        context.json([describe(name, setting) for name, setting in shown])
     elif chosen:
         page(_text(context.out, [_section(section, settings) for section, settings in chosen.items()]))
     else:
-        for number, (name, setting) in enumerate(known.items()):
+        for number, (name, setting) in enumerate(listed):
             if number:
                 context.out.print()
             context.out.print(_details(describe(name, setting)))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import naopolicies
 import typer
 from naospec.flags import expanded, read_value
+from naospec.flat import as_chosen
 from naospec.search import SearchSpec
 from pydantic import ValidationError
 
@@ -122,6 +124,7 @@ def tune(
     search = make_search(
         space or [],
         objective or [],
+        base=job["spec"],
         trials=trials,
         parallel=parallel,
         sampler=sampler,
@@ -145,8 +148,16 @@ def tune(
     context.note(f"Look at it with: naoctl study show {study['id']}")
 
 
-def make_search(space: list[str], objectives: list[str], **others: Any) -> dict[str, Any]:
+def make_search(
+    space: list[str], objectives: list[str], *, base: Mapping[str, Any] | None = None, **others: Any
+) -> dict[str, Any]:
     """Return the search of ``POST /studies``.
+
+    Args:
+        space: values of ``--space``.
+        objectives: values of ``--objective``.
+        base: specification of the trials, whose plug-ins decide how values are read.
+        **others: the search's other fields.
 
     Raises:
         InvalidInput: naming the flag that is wrong.
@@ -154,7 +165,7 @@ def make_search(space: list[str], objectives: list[str], **others: Any) -> dict[
     if not space:
         raise InvalidInput("--space is missing", fix=_SPACE_EXAMPLE)
     known = training_settings()
-    known = {**known, **{".".join(setting.path): setting for setting in known.values()}}
+    known = as_chosen({**known, **{".".join(setting.path): setting for setting in known.values()}}, base or {})
     chosen: dict[str, Any] = {}
     for entry in space:
         field, sign, text = entry.partition("=")

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import naopolicies
 import typer
 from naospec import EvaluationSpec, TrainingSpec, flat, recipes
-from naospec.flags import flag_name, parse_flags
+from naospec.flags import flag_name, parse_flags, read_value
 from naospec.flat import Setting, settings_of
 from naospec.job_files import JOB_FIELDS, JobFileError, load_job_file
 from pydantic import TypeAdapter
@@ -334,7 +334,8 @@ def make_body(
                 fix=below if inside else f"Fields: {', '.join(JOB_FIELDS)}.",
             )
     body = dict(file)
-    chosen = flat.nest(parse_flags(settings, spec_flags), _table(file, "spec", where))
+    base = _table(file, "spec", where)
+    chosen = flat.nest(parse_flags(settings, spec_flags, base=base), base)
     training = build(
         TrainingSpec, chosen, from_flags={name: settings[name] for name in spec_flags}, where=f"{where}spec."
     )
@@ -416,6 +417,7 @@ def make_group(
     numbers = parse_seeds(seeds) if seeds is not None else []
     known = training_settings()
     known = {**known, **{".".join(setting.path): setting for setting in known.values()}}
+    declared = flat.as_chosen(known, body["spec"])
     axes: dict[str, list[Any]] = {}
     for entry in grid:
         field, sign, values = entry.partition("=")
@@ -432,12 +434,16 @@ def make_group(
             raise InvalidInput(f"--grid {field} and {flag} contradict each other", fix="Use one of them.")
         if seeds is not None and known[field].name == "seed":
             raise InvalidInput("--grid seed and --seeds contradict each other", fix="Use one of them.")
-        axes[field] = [parse_flags(known, {field: item})[field] for item in items]
+        axes[field] = [read_value(item, declared[field].info) for item in items]
     for picked in itertools.product(*axes.values()):
         combination = dict(zip(axes, picked, strict=True))
         if combination:
             build(TrainingSpec, flat.nest(combination, body["spec"]), where="--grid: ")
-    return {"job": body, "seeds": numbers, "grid": {name: _typed(known[name], values) for name, values in axes.items()}}
+    return {
+        "job": body,
+        "seeds": numbers,
+        "grid": {name: _typed(declared[name], values) for name, values in axes.items()},
+    }
 
 
 def parse_seeds(text: str) -> list[int]:
