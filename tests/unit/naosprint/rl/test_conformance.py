@@ -76,6 +76,18 @@ def test_a_learner_that_breaks_the_rules_is_found(monkeypatch: pytest.MonkeyPatc
     assert not failed
 
 
+def test_a_policy_that_takes_no_generator_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluations pass one, or None."""
+    from naosprint.rl.policy import NetworkPolicy
+
+    monkeypatch.setattr(
+        NetworkPolicy, "act", lambda policy, observations: np.zeros((len(observations), policy.n_actions))
+    )
+    (policies_act,) = (one for one in CHECKS if one.__name__ == "policies_act")
+    with pytest.raises(TypeError, match="positional arguments"):
+        policies_act(spec_of(PPO))
+
+
 @pytest.mark.parametrize("robot", ["nao-0", "t1"])
 def test_its_policies_are_evaluated_and_exported(robot: str, tmp_path: Path, recorder: Any) -> None:
     """The exported network gives the actions of the checkpoint's policy, in ONNX and in the skill."""
