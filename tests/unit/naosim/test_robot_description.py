@@ -62,6 +62,8 @@ def test_a_robot_whose_parts_belong_together_is_described() -> None:
         ),
         ({"nominal_rad": {"neck": 30.0}}, "nominal_rad: neck: 30 is not from -1 to 1, the joint's range in radians"),
         ({"nominal_rad": {"neck": float("nan")}}, "nominal_rad: neck: nan is not from -1 to 1"),
+        ({"nominal_rad": 0.5}, "nominal_rad: 0.5 names no joint; write an angle for each by name"),
+        ({"action_range_rad": 0.5}, "action_range_rad: 0.5 names no joint"),
         ({"action_range_rad": {"head": 0.5}}, "action_range_rad: there is no joint 'head'; its joints are neck"),
         ({"action_range_rad": {"neck": 0.5}}, "action_range_rad: left_roll is missing; state every joint"),
         (

@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.metadata import EntryPoint
@@ -374,3 +375,24 @@ def use(spec: TrainingSpec, simulator: Simulator) -> None:
         'Argument 3 to "Environment" has incompatible type "SimulatorSettings"; expected "TaskSettings"',
     ):
         assert error in done.stdout, done.stdout + done.stderr
+
+
+def test_an_error_in_a_plugin_of_another_package_has_its_place(
+    offered: list[EntryPoint], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last line of the plug-in, also if what it called raised the error."""
+    path = tmp_path / "naosprint_hasty.py"
+    path.write_text("def step():\n    update()\n\ndef update():\n    int('a')\n    float('b')\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    naosprint_hasty = import_module("naosprint_hasty")
+
+    for known, expected in ((False, ""), (True, f"{path}, line 5")):
+        if known:
+            offered.append(entry("hasty", "naosprint_hasty:Hasty"))
+            plugins._entries.cache_clear()
+        with pytest.raises(ValueError, match="invalid literal") as caught:
+            naosprint_hasty.step()
+        assert plugins.place_of(caught.value) == expected
+    with pytest.raises(ValidationError) as refused:
+        TrainingSpec.model_validate({"total_steps": "many"})
+    assert plugins.place_of(refused.value) == "", "of ours"

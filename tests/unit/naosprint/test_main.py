@@ -18,8 +18,10 @@ from naospec import EvaluationSpec, TrainingSpec, plugins
 from naospec.flat import OPTIONS, settings
 from naosprint import commands
 from naosprint.__main__ import _parser, main
+from naosprint.analysis.results import summary_table
 from naosprint.console import ConsoleReporter
 from naosprint.rl.checkpoint import read_manifest
+from rich.console import Console
 
 SMALL = [
     *("--n-envs", "8", "--n-steps", "32", "--batch-size", "64", "--n-epochs", "2"),
@@ -462,3 +464,9 @@ def test_a_folder_of_another_training_is_refused(
     resume = f"--resume {tmp_path / 'work' / checkpoint.name}"
     assert f"has checkpoints of this training already; continue it with {resume}" in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "work").iterdir()] == [checkpoint.name]
+
+
+def test_an_evaluation_of_a_task_that_summarizes_nothing_has_a_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    about = {"task": {"name": "hop"}, "evaluation": {"confidence": 0.95}, "episodes": 3}
+    Console(width=80).print(summary_table({**about, "headline": [], "results": []}))
+    assert "none: the task has no method `summarize`" in capsys.readouterr().out

@@ -11,6 +11,7 @@ from __future__ import annotations
 import inspect
 import logging
 import threading
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -43,6 +44,9 @@ _BASES: dict[str, str] = {
 }
 _NOUNS: dict[str, str] = {ROBOTS: "robot", SIMULATORS: "simulator", TASKS: "task", LEARNERS: "algorithm"}
 
+
+PROJECT = frozenset({"naospec", "naosim", "naosprint"})
+"""Packages of this project that offer plug-ins."""
 
 _log = logging.getLogger(__name__)
 
@@ -145,6 +149,22 @@ def _load(group: str, name: str) -> object:
         raise BrokenPluginError(
             f"{name}: package {_package(entry)} offers it as {entry.value}, which cannot be used: {reason}"
         ) from error
+
+
+def place_of(error: BaseException) -> str:
+    """Return the last line of a plug-in of another package that an error came through: ``file, line 7``; or nothing."""
+    packages = {entry.module for group in _NOUNS for entries in _entries(group).values() for entry in entries}
+    theirs = {_top(module) for module in packages} - PROJECT
+    lines = [
+        f"{frame.f_code.co_filename}, line {number}"
+        for frame, number in traceback.walk_tb(error.__traceback__)
+        if _top(frame.f_globals.get("__name__", "")) in theirs
+    ]
+    return lines[-1] if lines else ""
+
+
+def _top(module: str) -> str:
+    return module.partition(".")[0]
 
 
 def _package(entry: EntryPoint) -> str:

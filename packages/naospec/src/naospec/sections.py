@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
     from naospec.contracts import RobotContract, SimulatorContract, TaskContract
 
-_PROJECT = frozenset({"naospec", "naosim", "naosprint"})
-"""Packages of this project that define settings."""
-
 PLAIN_NAME = "^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$"
 """Pattern of names that enter generated files as they are: letters, digits, ``_``, ``.`` and ``-``."""
 
@@ -108,7 +105,7 @@ def is_built_in(model: type[Section], field: str) -> bool:
     """
     bases = (base for base in model.__mro__ if issubclass(base, Section))
     owner = next((base for base in bases if field in inspect.get_annotations(base)), model)
-    return owner.__module__.partition(".")[0] in _PROJECT
+    return owner.__module__.partition(".")[0] in plugins.PROJECT
 
 
 def variants(group: str) -> Iterator[tuple[str, type[Section], tuple[str, ...]]]:

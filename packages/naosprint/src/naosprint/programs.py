@@ -47,12 +47,16 @@ def above_zero(text: str, most: float = math.inf) -> float:
 
 
 def error_text(error: BaseException) -> str:
-    """Return what cannot be done; of a file or folder its path and why, without the system's number."""
+    """Return what cannot be done; of a file or folder its path and why, without the system's number.
+
+    An error that came through a plug-in of another package is followed by its line there.
+    """
     if isinstance(error, FileExistsError) and error.filename is not None:
         return f"{error.filename}: is a file, not a folder"
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
-    return str(error)
+    place = plugins.place_of(error)
+    return f"{error} ({place})" if place else str(error)
 
 
 def run_program(main: Callable[[], int | None]) -> NoReturn:

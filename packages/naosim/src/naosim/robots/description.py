@@ -246,6 +246,10 @@ class Robot(Plugin):
 def _problems(robot: Robot) -> Iterator[str]:
     """Yield what is wrong with a robot's joints, and with what refers to them; later checks rely on earlier ones."""
     joints = {joint.name: joint for joint in robot.joints}
+    stated: dict[str, object] = {"nominal_rad": robot.nominal_rad, "action_range_rad": robot.action_range_rad or {}}
+    for field, given in stated.items():
+        if not isinstance(given, Mapping):
+            yield f"{field}: {given!r:.60} names no joint; write an angle for each by name"
     ranges = described(robot.action_range_rad)  # settings fill in the others again, for the joints that there are now
     if len(joints) != len(robot.joints):
         name = next(name for name in joints if robot.joint_names.count(name) > 1)

@@ -62,4 +62,6 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     for result in (*main, *(result for result in summary["results"] if result not in main)):
         spread = "" if result["sd"] is None else format_value(metric_of(result), result["sd"])
         table.add_row(result["title"], value_text(result), range_text(result), spread)
+    if not summary["results"]:
+        table.add_row("none: the task has no method `summarize`")
     return table
