@@ -19,8 +19,10 @@ from sqlalchemy import Engine, create_engine, text
 @pytest.fixture
 def set_read_only(engine: Engine) -> Iterator[Callable[[bool], None]]:
     """Make the database read-only, as after a failover, or writable again."""
+    switched = [False]
 
     def switch(on: bool) -> None:
+        switched.append(on)
         with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
             name = connection.scalar(text("SELECT current_database()"))
             connection.execute(text("SET transaction_read_only = off"))
@@ -31,7 +33,8 @@ def set_read_only(engine: Engine) -> Iterator[Callable[[bool], None]]:
             connection.execute(text(f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"))
 
     yield switch
-    switch(False)
+    if switched[-1]:  # else the service has new connections already, which the next test uses
+        switch(False)
     engine.dispose()
 
 
