@@ -520,7 +520,7 @@ class Simulator(ABC):
         """Add (k, 2) horizontal velocities in m/s, world frame, to those of the torsos of the robots ``rows``.
 
         Raises:
-            ValueError: if the simulator cannot push robots.
+            ValueError: if the simulator cannot push robots, or the velocities have a wrong shape or are not finite.
         """
         raise ValueError(f"push_mps: {type(self).__name__} cannot push robots; set it to 0")
 

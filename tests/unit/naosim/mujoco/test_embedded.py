@@ -243,6 +243,11 @@ def test_malformed_commands_are_refused() -> None:
     assert np.array_equal(simulator.snapshot()[0], state[0])
     with pytest.raises(ValueError, match="state: expected bytes"):
         simulator.restore(state[:1])
+    state = simulator.snapshot()
+    for velocities in (np.full((2, 2), np.nan), np.ones((1, 2)), np.ones((2, 3))):
+        with pytest.raises(ValueError, match="velocities_mps: expected finite numbers of shape"):
+            simulator.push(velocities, slice(0, 2))
+    assert np.array_equal(simulator.snapshot(), state)
 
 
 def test_foot_frames_are_the_contacts_of_every_substep() -> None:

@@ -259,13 +259,16 @@ class MujocoSimulator(Simulator):
     # disturbances
 
     def push(self, velocities_mps: Floats, rows: slice) -> None:
-        """Add (k, 2) horizontal velocities in m/s, world frame, to those of the torsos of the robots ``rows``."""
+        """Add (k, 2) horizontal velocities in m/s, world frame, to those of the torsos of the robots ``rows``.
+
+        Raises:
+            ValueError: if they have a wrong shape or are not finite.
+        """
         self.require_open()
-        first = 6 if self.world.ball else 0
-        pushed = np.flatnonzero(velocities_mps.any(axis=1)).tolist()
-        for data, (x, y) in zip(
-            (self.batch.data[rows.start + k] for k in pushed), velocities_mps[pushed].tolist(), strict=True
-        ):
+        first, robots = 6 if self.world.ball else 0, self.batch.data[rows]
+        added = finite("velocities_mps", velocities_mps, (len(robots), 2))
+        pushed = np.flatnonzero(added.any(axis=1)).tolist()
+        for data, (x, y) in zip((robots[k] for k in pushed), added[pushed].tolist(), strict=True):
             data.qvel[first] += x
             data.qvel[first + 1] += y
 
