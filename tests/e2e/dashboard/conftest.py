@@ -271,7 +271,7 @@ class Browser:
         return outcome.get("value")
 
     def hold(self, pattern: str, what: str = "answer") -> None:
-        """Hold back GET requests to matching addresses, or the answers to them, until the page calls `release`."""
+        """Delay matching GET requests, or their responses, until `release` is called on the page."""
         self.js(
             """
             const [pattern, what] = [new RegExp(arguments[0]), arguments[1]];

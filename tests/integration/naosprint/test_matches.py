@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -107,18 +108,21 @@ def test_a_game_waits_for_slow_players_of_the_team_that_is_started_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its second player enters only when all of the other team are on the field."""
-    wait = "while sys.argv[3:5] == ['left', '2'] and not os.path.exists('go'):\n    time.sleep(0.01)"
-    folder = write_team(tmp_path / "slow", f"import os, sys, time\n{wait}\n{ENTERING}")
+    wait = "if sys.argv[3:5] == ['left', '2']:\n    open('go').close()"
+    folder = write_team(tmp_path / "slow", f"import sys\n{wait}\n{ENTERING}")
+    teams = read_team(folder), entering(tmp_path / "other")
+    go = folder / "go"
+    os.mkfifo(go)  # whose ends are opened together: the player's, and this process's
 
     class Opened(AgentEndpoints):
         def entered(self) -> set[Player]:
             found = super().entered()
-            if {("right", 1), ("right", 2)} <= found:
-                (folder / "go").touch()
+            if {("right", 1), ("right", 2)} <= found and go.exists():
+                go.open("w").close()
+                go.unlink()
             return found
 
     monkeypatch.setattr(game, "AgentEndpoints", Opened)
-    teams = read_team(folder), entering(tmp_path / "other")
     log = play_game(teams, ("a", "b"), 0, GameSettings(players=2, half_s=1.0))
     assert [half["lost"] for half in log.notes["halves"]] == [[], []]
     assert log.present.all()

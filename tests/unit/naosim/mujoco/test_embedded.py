@@ -215,7 +215,7 @@ def test_a_robot_whose_physics_diverge_is_lost_until_it_starts_again() -> None:
 
 
 def test_the_worlds_of_a_step_in_the_background_outlive_the_simulator() -> None:
-    """Threads step them on where nobody waits for the step: after an error, the simulator is dropped at once."""
+    """After an error, a simulator may be deleted while threads in C++ still step its worlds."""
 
     def owned() -> list[bool]:
         return [sys.getrefcount(each) > 3 for each in used]  # by the list, `each`, and the argument

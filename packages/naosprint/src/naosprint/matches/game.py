@@ -288,7 +288,7 @@ class _Half:
         return frame
 
     def _enter(self, monitor: GameMonitor, endpoints: AgentEndpoints) -> Frame:
-        """Start the agents, the left team's first; return the frame in which all have been on the field that come."""
+        """Start the agents, the left team's first; return the frame after the last has entered."""
         frame = self._next(monitor, endpoints, self._settings.start_s)
         came: set[Player] = set()  # one that the server has dropped since does not come again
         for team in self._order:

@@ -267,7 +267,7 @@ class Player:
         return cost
 
     def note_set_piece(self):
-        """Note who has taken a set piece of ours; nobody has if its time is over."""
+        """Note which player has taken our set piece; none has if its time ran out first."""
         world = self.world
         self.taker = None
         if (
